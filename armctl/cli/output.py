@@ -21,7 +21,7 @@ import click
 from armctl.cli.completion import complete
 from armctl.cli.keys import attended
 from armctl.cli.parameters import parameters, tables
-from armctl.errors import ArmctlError, BusError, ConfigError, LogError, NoDaemon, RequestRefused, UnreachableTarget
+from armctl.errors import ArmctlError, ConfigError, LogError, NoDaemon, RequestRefused, UnreachableTarget
 from armctl.files import served_socket
 
 if TYPE_CHECKING:
@@ -222,44 +222,26 @@ def off(errors: Mapping[str, Any], what: str, digits: int = 1) -> str:
     return f"{mean} mm mean and {most} mm at most off {what}"
 
 
-# Code of a refusal -> what to type next; where none stands here, `armctl status`.
-NEXT = {
-    "LIMIT": "armctl status, which shows every joint within its limits",
-    "NO_PLAN": "armctl optimize --help",
-    "BAD_RECORDINGS": "armctl recordings",
-    "RECORDS_LOST": "armctl recordings",
-    "EXISTS": "another name, or armctl recordings",
-    "NOT_CONFIRMED": "armctl teach --help",
-    "EMPTY": "armctl log info LOG, which tells how long it is",
-    "STOPPED": "the same command again, or armctl park",
-}
+# How an error says which extra is missing.
+INSTALL = re.compile(r"pip install '[^']+'")
 
 
 def next_command(error: ArmctlError, socket: str | None = None) -> str:
-    """What to type after an error that does not say so itself.
+    """What to type after an error that does not say so itself: `next.toml` has it, by the error's code or its kind.
 
     Args:
         socket: The daemon that was asked; None: the usual one.
     """
-    if isinstance(error, ConfigError):
-        command = error.file if error.file.startswith("armctl ") else "armctl help configuration"
-        return f"{command} --help" if command == error.file else command
-    if isinstance(error, NoDaemon):
-        return "armctl daemon --port PORT"
-    if isinstance(error, UnreachableTarget) or getattr(error, "code", "") == "UNREACHABLE":
+    code = getattr(error, "code", "")
+    if isinstance(error, ConfigError) and error.file.startswith("armctl "):
+        return f"{error.file} --help"
+    if isinstance(error, UnreachableTarget) or code == "UNREACHABLE":
         return _workspace_command(socket)
-    if isinstance(error, BusError):
-        return "armctl doctor"
-    if isinstance(error, LogError):
-        return "armctl recordings" if "recording" in str(error) else "armctl help logs"
-    if isinstance(error, RequestRefused):
-        return NEXT.get(error.code, "armctl status")
-    remedy = INSTALL.search(str(error))
-    return remedy[0] if remedy else "armctl help"
-
-
-# How an error says which extra is missing.
-INSTALL = re.compile(r"pip install '[^']+'")
+    if found := INSTALL.search(str(error)):
+        return found[0]
+    known = tables("next")["failed"]
+    kinds = [code] + ["recording"] * (isinstance(error, LogError) and "recording" in str(error))
+    return next(str(known[kind]) for kind in kinds + [kind.__name__ for kind in type(error).__mro__] if kind in known)
 
 
 def _workspace_command(socket: str | None) -> str:
