@@ -51,11 +51,15 @@ def try_command(output: Output, arm: str, port: int, no_browser: bool) -> int:
 
     socket, link, folder = socket_path(output.socket), default_link().absolute(), Path("armctl-try").absolute()
     with _ending_all(), trial(folder, arm, socket, link, port, output.progress) as running:
-        output.ready("url", running.address)
+        ends = [",".join(f"{x:.3f}" for x in end) for end in running.line or ()]
+        address = "&".join([f"{running.address}&view=guide", *map("{}={}".format, ("from", "to"), ends)])
+        output.ready("url", address)
         if not no_browser and (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-            webbrowser.open(running.address)
-        line = " to ".join(",".join(f"{x:.3f}" for x in end) for end in running.line or ()) or "none is in reach"
-        output.say(f"Begin to teach on the page, then press a key here: a hand guides the arm.\nIts line: {line}")
+            webbrowser.open(address)
+        output.say(
+            "The page leads you: show a line by hand, straighten it, run it. The hand is the simulator's: press a\n"
+            f"button there, or a key here. Its line: {' to '.join(ends) or 'none is in reach'}"
+        )
         try:
             with keys(sys.stdin) as pressed:
                 running.serve(lambda: pressed.wait(0.0), output.say)

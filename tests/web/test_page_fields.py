@@ -111,6 +111,22 @@ def test_every_field_says_in_words_beside_it_what_is_wrong(unserved: Page) -> No
     assert seen == set(FIELDS)
 
 
+@pytest.mark.parametrize(("asked", "view", "step"), [("&view=guide", "guide", "teach"), ("&view=nothing", "arm", "")])
+def test_an_address_may_lead_to_a_view_and_a_line(unserved: Page, asked: str, view: str, step: str) -> None:
+    """As that of `armctl try` does; the step that comes next is marked."""
+    assert unserved.context.browser is not None
+    page = unserved.context.browser.new_page()
+    token = unserved.evaluate("sessionStorage.getItem('armctl-token')")
+    address = unserved.url.partition("#")[0]
+    page.goto(f"{address}#token={token}&from=0.2,-0.1,0.2&to=0.2,0.1,0.2{asked}")
+    expect(page.locator("#arm-id")).to_have_text("ax12-line")
+    expect(page.locator(f"#view-{view}")).to_be_visible()
+    expect(page.locator("#line-form [name=from]")).to_have_value("0.2,-0.1,0.2")
+    if step:
+        expect(page.locator(".steps > [aria-current=step]")).to_have_id(f"step-{step}")
+    page.close()
+
+
 @pytest.mark.parametrize("words", ["servo:x", "load>", "after:yesterday", "level:loud"])
 def test_words_that_find_nothing_for_they_mean_nothing_are_refused_beside_them(unserved: Page, words: str) -> None:
     page = unserved

@@ -8,7 +8,7 @@ import { enterGuide, guide, pointLed, progressed, showTeaching, wireGuide } from
 import { drawLive, remember } from "/live.js";
 import { loadLogs, wireLogs } from "/logs.js";
 import { enterSetUp, settingUp, showSetUp, wireSetUp } from "/setup.js";
-import { $, act, after, armView, confirmed, degrees, logIn, millimetres, page, post, request, tell, token, torqueOn, views } from "/page.js";
+import { $, act, after, armView, asked, confirmed, degrees, logIn, millimetres, page, post, request, tell, token, torqueOn, views } from "/page.js";
 
 let drive = null;
 const trail = [];
@@ -249,6 +249,7 @@ function wire() {
   $("look").addEventListener("click", () => page.view && page.view.look());
 }
 
+for (const end of ["from", "to"]) if (asked.has(end)) $("line-form").elements[end].value = asked.get(end);
 wire();
 connect();
 act(null, async () => {
@@ -259,4 +260,5 @@ act(null, async () => {
   if (page.view) page.view.led = pointLed;
   drive = new Drive(post, page.view);
   makeJointRows();
+  if (asked.get("view") in ENTER) view(asked.get("view"));
 });

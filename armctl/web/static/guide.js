@@ -14,7 +14,18 @@ export const tracks = new Map();
 let takes = [], drawn = null;
 let covered = [1, 0];  // of the line, in the take under way
 
+// Which step comes next is marked.
+function showNext() {
+  const some = takes.some((take) => take.chosen);
+  const next = !wantedLine() ? "line" : guide.taking || !some ? "teach" : !$("plan-choice").value ? "optimise" : "run";
+  for (const step of ["line", "teach", "optimise", "run"]) {
+    if (step === next) $(`step-${step}`).setAttribute("aria-current", "step");
+    else $(`step-${step}`).removeAttribute("aria-current");
+  }
+}
+
 export function showTakes() {
+  showNext();
   $("takes").replaceChildren(...takes.map((take) => {
     const item = document.createElement("li");
     const box = document.createElement("input");
@@ -211,6 +222,7 @@ async function loadPlanChoice(wanted) {
   const { plans } = await request("/plans");
   const known = plans.map((plan) => [plan.name, `${spoken(plan.name)} (${millimetres(plan.predicted_mean_error_mm)} predicted)`]);
   fill($("plan-choice"), known.length ? known : [["", "none yet: optimise first"]], wanted);
+  showNext();
   after.act();
 }
 
@@ -268,6 +280,7 @@ export function showTeaching(place, speed_m_s, [A, B]) {
 }
 
 export async function enterGuide() {
+  showNext();
   await loadTakes();
   await loadPlanChoice();
   await drawChosen();

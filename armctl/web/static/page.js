@@ -14,10 +14,12 @@ export const page = { arm: null, snapshot: null, view: null };
 export const views = [];
 // What is to be looked at again after each request.
 export const after = { act: () => {} };
+// What the address says behind its `#`: a token; and a `view` to begin with, and a line `from` and `to`, where somebody is led.
+export const asked = new URLSearchParams(location.hash.slice(1));
 export const token = takeToken();
 
 function takeToken() {
-  const found = new URLSearchParams(location.hash.slice(1)).get("token");
+  const found = asked.get("token");
   if (found) {
     sessionStorage.setItem("armctl-token", found);
     history.replaceState(null, "", location.pathname);
