@@ -131,7 +131,8 @@ class Arm(StandIn):
 
     def subscribe(self) -> Iterator[dict[str, Any]]:
         limit = {"tool_speed_limit_m_s": 1.0, "period_s": 0.1, "state": "teaching"}
-        return iter([{**limit, "tool": {"position_m": [0.1, 0.0, 0.1], "speed_m_s": 0.0}}] * 9)
+        tool = {"position_m": [0.1, 0.0, 0.1], "speed_m_s": 0.0}
+        return iter({**limit, "tool": tool, "recording": "tidy-2" if tick else None} for tick in range(9))
 
 
 class Keys(TerminalKeys):
