@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 import time
 from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from armctl.cli.output import HOLDS, SOCKET, Output, command, millimetres
+from armctl.cli.tables import show_rows
 from armctl.errors import NoDaemon
 from armctl.files import served_socket
 
@@ -32,8 +34,7 @@ def status_command(output: Output, every: bool) -> None:
         lines = "\n".join(f"{one['arm']:<20} {one['state']}" for one in arms)
         output.answer({"arms": arms}, lines or "no arm is a service of this computer; see `armctl help arm`")
         return
-    with output.client() as client:
-        snapshot = client.call("status")
+    snapshot = output.ask("status")
     output.answer(snapshot, lambda: output.console.print(picture(snapshot)))
 
 
@@ -170,8 +171,7 @@ def _line(snapshot: dict[str, Any]) -> str:
 
 def request(output: Output, method: str, **params: Any) -> None:
     """Ask the daemon for something that it answers with the arm's new state."""
-    with output.client() as client:
-        state = client.call(method, **params)
+    state = output.ask(method, **params)
     output.answer(state, str(state["state"]))
 
 
@@ -268,7 +268,6 @@ def arms_command(output: Output) -> None:
 
     Example: armctl arms
     """
-    from armctl.cli.tables import show_rows
     from armctl.commissioning.arm_file import arms_at_hand
 
     rows = arms_at_hand()
@@ -289,8 +288,6 @@ def check_command(output: Output, file: str) -> int:
 
     Example: armctl arm check my-arm.yaml
     """
-    from dataclasses import asdict
-
     from armctl.commissioning.arm_file import judged
 
     found = judged(file)

@@ -17,6 +17,7 @@ from armctl.cli.output import ARM, BAUD, CONFIG, PORT, SOCKET, Output, command, 
 from armctl.cli.setup import AtTerminal, opened
 from armctl.cli.tables import show_table
 from armctl.errors import RequestRefused
+from armctl.files import load_arm
 
 if TYPE_CHECKING:
     from armctl.commissioning.calibration import Fit, Readings
@@ -126,7 +127,6 @@ def _calibrate_sag(output: Output) -> None:
     import numpy as np
 
     from armctl.commissioning import sag_file
-    from armctl.files import load_arm
     from armctl.lab import sag_identification
     from armctl.lab.rig import DaemonRig
 

@@ -8,8 +8,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from armctl.cli.keys import keys
 from armctl.cli.output import SOCKET, Output, command
 from armctl.cli.tables import show_rows
+from armctl.files import socket_path
 
 
 @command("demo")
@@ -44,9 +46,7 @@ def try_command(output: Output, arm: str, port: int, no_browser: bool) -> int:
     """
     import webbrowser
 
-    from armctl.cli.keys import keys
     from armctl.cli.processes import default_link
-    from armctl.files import socket_path
     from armctl.lab.trial import trial
 
     socket, link, folder = socket_path(output.socket), default_link().absolute(), Path("armctl-try").absolute()

@@ -79,29 +79,19 @@ def faults_page() -> str:
 
 def configuration_page() -> str:
     """Every key with its type, default and bounds, from the types that check the files."""
-    from armctl.config import (
-        ArmConfig,
-        ChainRow,
-        ChainTable,
-        Compliance,
-        Config,
-        GripperConfig,
-        JointConfig,
-        LogConfig,
-        OwnGripper,
-    )
+    from armctl import config
 
     sections: dict[str, type[BaseModel]] = {
         "armctl.yaml\n\n`~/.config/armctl/armctl.yaml`, or `/etc/armctl/armctl.yaml` for the service. Every key has a "
-        "default.\n": Config,
-        "log:\n": LogConfig,
-        "calibration/NAME.yaml\n\nOne file an arm; see `armctl help new-arm`.\n": ArmConfig,
-        "robot: a table of one's own, instead of a name\n": ChainTable,
-        "robot.dh: one row a joint\n": ChainRow,
-        "joints: one entry a servo, from the base up\n": JointConfig,
-        "compliance:\n": Compliance,
-        "gripper: the joint that grips, where the arm has one\n": GripperConfig,
-        "gripper: or a servo that is none of the joints\n": OwnGripper,
+        "default.\n": config.Config,
+        "log:\n": config.LogConfig,
+        "calibration/NAME.yaml\n\nOne file an arm; see `armctl help new-arm`.\n": config.ArmConfig,
+        "robot: a table of one's own, instead of a name\n": config.ChainTable,
+        "robot.dh: one row a joint\n": config.ChainRow,
+        "joints: one entry a servo, from the base up\n": config.JointConfig,
+        "compliance:\n": config.Compliance,
+        "gripper: the joint that grips, where the arm has one\n": config.GripperConfig,
+        "gripper: or a servo that is none of the joints\n": config.OwnGripper,
     }
     intro = "# Configuration\n\nTwo YAML files, checked as a whole when they are read; wrong keys are named.\n"
     return "\n".join([intro, *(f"## {heading}\n{_keys(model)}" for heading, model in sections.items())])

@@ -12,6 +12,7 @@ import click
 from armctl.cli.output import CONFIG, JSON, RECORDED, SOCKET, Output, command, off
 from armctl.cli.tables import show_rows, show_table
 from armctl.errors import ConfigError, LogError, NoDaemon
+from armctl.files import data_dir, read_text
 
 if TYPE_CHECKING:
     from armctl.genetic.request import OptimizeRequest
@@ -52,8 +53,7 @@ def recordings_list(output: Output) -> None:
 
     Example: armctl recordings list
     """
-    with output.client() as client:
-        found = client.call("recordings_list")
+    found = output.ask("recordings_list")
     output.answer(found, partial(show_list, output, found))
 
 
@@ -70,8 +70,7 @@ def show_list(output: Output, found: dict[str, Any]) -> None:
 
 def _on_recording(output: Output, method: str, words: Callable[[dict[str, Any]], str], **params: Any) -> None:
     """One request about a recording, and what the daemon says of it."""
-    with output.client() as client:
-        recording = client.call(f"recordings_{method}", **params)
+    recording = output.ask(f"recordings_{method}", **params)
     output.answer({"recordings": [recording]}, words(recording))
 
 
@@ -173,7 +172,6 @@ def _optimize_here(
     output: Output, recordings: tuple[str, ...], request: OptimizeRequest, progress: Any
 ) -> dict[str, Any]:
     from armctl.commissioning import sag_file
-    from armctl.files import data_dir
     from armctl.host.jobs import OptimizeJob, optimize_task
 
     folder = data_dir(output.config) / "recordings"
@@ -192,7 +190,6 @@ def run_command(output: Output, plan: Path, refine: int) -> int:
 
     Example: armctl run plan-via2.json --refine 3
     """
-    from armctl.files import read_text
     from armctl.trajectory.plan import plan_from_text
 
     wanted = plan_from_text(read_text(plan, "plan"), str(plan)).model_dump()
@@ -259,7 +256,6 @@ def play_command(output: Output, name: str, **how: Any) -> None:
 
 def _motion_in(file: Path) -> TaughtMotion:
     """The motion in a log, or in a table of joint angles."""
-    from armctl.files import read_text
     from armctl.recording import recordings
     from armctl.trajectory.playback import motion_from_text
 

@@ -14,6 +14,7 @@ import click
 from armctl.cli.output import F, Output, command
 from armctl.cli.tables import show_rows, show_table
 from armctl.errors import ConfigError
+from armctl.files import find_arm_file, load_arm
 
 if TYPE_CHECKING:
     from armctl.kinematics.robots.robot import Robot
@@ -34,7 +35,6 @@ def robot_option(function: F) -> F:
 
 def _robot(name: str) -> Robot:
     """A robot by its name, or that of an arm or its file."""
-    from armctl.files import find_arm_file, load_arm
     from armctl.kinematics import robots
 
     if name not in robots.names():

@@ -14,6 +14,7 @@ import click
 
 from armctl.cli.output import CONFIG, Output, command
 from armctl.cli.tables import show_rows, show_table
+from armctl.files import logs_dir
 
 if TYPE_CHECKING:
     from armctl.recording.index import Index
@@ -33,7 +34,6 @@ def log_command() -> None:
 @contextmanager
 def _index(output: Output, folder: Path | None) -> Iterator[Index]:
     """The index of a folder, brought up to date; None: the folder of the daemon."""
-    from armctl.files import logs_dir
     from armctl.recording.index import Index
 
     with Index(folder or logs_dir(output.config_file)) as index:

@@ -8,7 +8,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from armctl.cli.output import Output, command, kept_option
+from armctl.cli.keys import keys
+from armctl.cli.output import Output, arm_option, command
 from armctl.errors import ArmctlError
 
 if TYPE_CHECKING:
@@ -25,9 +26,7 @@ LINE_S = 1.0
 KEYS_HELP = "space: pause   left, right: 5 s back, forward   + -: rate   l: loop   q: leave"
 
 
-PLAYED = kept_option(
-    "arm_name", "--arm", metavar="NAME|FILE", help="Which arm --onto-sim plays; the configured one if left out."
-)
+PLAYED = arm_option("Which arm --onto-sim plays; the configured one if left out.")
 
 
 @command("replay", PLAYED)
@@ -58,7 +57,6 @@ def replay_command(output: Output, log: Path, check: bool, allow_gaps: bool, rep
         if not output.json:
             output.say(f"report: {report}")
     if not output.result(answer) and not check and report is None:
-        from armctl.cli.keys import keys
         from armctl.clock import MonotonicClock
 
         timeline = _loaded(output, log)

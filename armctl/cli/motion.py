@@ -11,6 +11,7 @@ from armctl.cli.keys import attended, keys
 from armctl.cli.output import HOLDS, RECORDED, SOCKET, Output, command, millimetres, off
 from armctl.cli.tables import show_rows
 from armctl.errors import ConfigError
+from armctl.files import load_arm, read_text
 
 
 @command("move", SOCKET)
@@ -116,7 +117,6 @@ def path_command(output: Output, file: Path, **how: Any) -> None:
 
     Example: armctl path square.csv --duration 15
     """
-    from armctl.files import read_text
     from armctl.trajectory.tool_path import path_from_text
 
     request = path_from_text(read_text(file, "path"), str(file), **how)
@@ -172,7 +172,6 @@ def transfer_command(
     request = validate(TransferRequest, stations, "transfer")
     answer = {}
     if virtual is not None:
-        from armctl.files import load_arm
         from armctl.lab.virtual_transfer import record
 
         if log_path is None:
@@ -182,8 +181,7 @@ def transfer_command(
         if log_path is not None:
             raise ConfigError("armctl transfer", "--log", "the daemon keeps its own recordings", "leave it out")
         answer = output.carry_out("transferring", "transfer", request)
-        with output.client() as client:
-            log_path = Path(client.call("recordings_show", name=answer["recording"])["path"])
+        log_path = Path(output.ask("recordings_show", name=answer["recording"])["path"])
     done = report.load(log_path)
     if out is not None:
         report.write(done, out)

@@ -22,7 +22,7 @@ from armctl.cli.completion import complete
 from armctl.cli.keys import attended
 from armctl.cli.parameters import parameters, tables
 from armctl.errors import ArmctlError, ConfigError, LogError, NoDaemon, RequestRefused, UnreachableTarget
-from armctl.files import served_socket
+from armctl.files import calibration_dirs, load_arm, load_config, served_socket
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -75,6 +75,11 @@ class Output:
 
         return Client(socket or self.socket, **options)
 
+    def ask(self, method: str, **params: Any) -> dict[str, Any]:
+        """What the daemon answers to one request."""
+        with self.client() as client:
+            return client.call(method, **params)
+
     def carry_out(
         self, doing: str, method: str, request: Any, *, kept: str = "", told: Callable[[Any], None] | None = None
     ) -> dict[str, Any]:
@@ -114,14 +119,12 @@ class Output:
     @cached_property
     def config(self) -> Config:
         """The configuration that was named, or the usual one."""
-        from armctl.files import load_config
 
         return load_config(self.config_file)
 
     @property
     def arm(self) -> ArmConfig:
         """The arm that was named, or the configured one."""
-        from armctl.files import load_arm
 
         return load_arm(self.arm_name or self.config.arm)
 
@@ -247,7 +250,6 @@ def next_command(error: ArmctlError, socket: str | None = None) -> str:
 def _workspace_command(socket: str | None) -> str:
     """What shows where the arm in question can reach: the daemon's arm, without a daemon the configured one."""
     from armctl.client import Client
-    from armctl.files import calibration_dirs, load_arm, load_config
 
     with suppress(ArmctlError):
         arms = [load_arm(load_config().arm)]
@@ -297,6 +299,11 @@ def kept_option(attribute: str, *names: str, **about: Any) -> click.Option:
     return click.Option([*names], expose_value=False, callback=keep, **about)
 
 
+def arm_option(text: str) -> click.Option:
+    """The option that names an arm; what it is named for."""
+    return kept_option("arm_name", "--arm", metavar="NAME|FILE", shell_complete=complete("arms"), help=text)
+
+
 JSON = kept_option("json", "--json", is_flag=True, is_eager=True, help="One JSON object on stdout.")
 SOCKET = kept_option("socket", "--socket", metavar="PATH", help="The daemon's socket (ARMCTL_SOCKET).")
 
@@ -315,13 +322,7 @@ SERVED = click.Option(
     help="Of several arms that are services, this one (armctl@NAME).",
 )
 CONFIG = kept_option("config_file", "--config", metavar="FILE", help="Configuration file (ARMCTL_CONFIG).")
-ARM = kept_option(
-    "arm_name",
-    "--arm",
-    metavar="NAME|FILE",
-    shell_complete=complete("arms"),
-    help="Which calibration file describes the arm.",
-)
+ARM = arm_option("Which calibration file describes the arm.")
 LINK = kept_option("link", "--link", type=click.Path(path_type=Path), help="The simulator's port, as it printed it.")
 BAUD = kept_option("baud", "--baud", type=int, help="Rate of the bus, bit/s.  [default: the configuration's]")
 PORT = kept_option("port", "--port", metavar="PATH", help="Serial port of the arm, or the link of `armctl sim`.")

@@ -12,20 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from armctl.cli.output import (
-    ARM,
-    CONFIG,
-    JSON,
-    LINK,
-    PORT,
-    SOCKET,
-    Output,
-    Point,
-    command,
-    kept_option,
-)
+from armctl.cli.output import ARM, CONFIG, JSON, LINK, PORT, SOCKET, Output, Point, arm_option, command
 from armctl.cli.parameters import parameters
 from armctl.errors import ConfigError
+from armctl.files import load_arm, read_text, socket_path, tokens_path
 
 if TYPE_CHECKING:
     from armctl.sim.control import SimulatorClient
@@ -52,7 +42,6 @@ def daemon_command(output: Output, log_dir: Path | None, wait: bool) -> int:
     import logging
 
     from armctl.clock import ask_for_precedence
-    from armctl.files import socket_path
     from armctl.host.service_manager import wait_for_port
 
     when = "" if "JOURNAL_STREAM" in os.environ else "%(asctime)s "  # the journal has a time of its own
@@ -91,7 +80,6 @@ def sim_command(
     Example: armctl sim --link /tmp/servos
     """
     from armctl.dynamixel import ax12a
-    from armctl.files import load_arm, read_text
     from armctl.sim import pty
     from armctl.sim.arm import SimulatedArm
     from armctl.sim.faults import Fault, Faults, parse
@@ -195,9 +183,7 @@ def _simulator(output: Output) -> SimulatorClient:
     return SimulatorClient(control_path((output.link or default_link()).absolute()))
 
 
-WATCHED = kept_option(
-    "arm_name", "--arm", metavar="NAME|FILE", help="Calibration of the daemon's arm, if it is not the configured one."
-)
+WATCHED = arm_option("Calibration of the daemon's arm, if it is not the configured one.")
 
 
 @command("live", WATCHED, SOCKET, CONFIG)
@@ -209,12 +195,11 @@ def live_command(output: Output, port: int, layout: Path | None) -> None:
 
     Example: armctl live --layout armctl.json; armctl live
     """
-    from armctl.recording.disk import new_file
+    from armctl.recording.disk import put
     from armctl.web import live
 
     if layout is not None:
-        with new_file(layout) as stream:
-            stream.write(files("armctl").joinpath("docs/foxglove-layout.json").read_bytes())
+        put(layout, files("armctl").joinpath("docs/foxglove-layout.json").read_text(), replacing=False)
         said = f"{layout}: import it in Foxglove or Lichtblick (Layouts, Import from file)"
         output.answer({"layout": str(layout)}, said)
         return
@@ -234,7 +219,6 @@ def web_command(ctx: click.Context, port: int | None, lan: bool) -> None:
     Example: armctl web
     """
     if ctx.invoked_subcommand is None:
-        from armctl.files import socket_path
         from armctl.web.server import serve
 
         output = ctx.ensure_object(Output)
@@ -266,7 +250,6 @@ def web_token_add(output: Output, name: str, role: Any) -> None:
 
     Example: armctl web token add ada --role look
     """
-    from armctl.files import tokens_path
     from armctl.web.tokens import add
 
     person, token = add(tokens_path(output.config_file), name, role)
@@ -280,7 +263,6 @@ def web_token_list(output: Output) -> None:
 
     Example: armctl web token list
     """
-    from armctl.files import tokens_path
     from armctl.web.tokens import people
 
     found = [one.listed() for one in people(tokens_path(output.config_file))]
@@ -294,7 +276,6 @@ def web_token_revoke(output: Output, name: str) -> None:
 
     Example: armctl web token revoke ada
     """
-    from armctl.files import tokens_path
     from armctl.web.tokens import revoke
 
     person = revoke(tokens_path(output.config_file), name)

@@ -14,6 +14,7 @@ from armctl.cli.keys import TerminalKeys, attended, keys
 from armctl.cli.output import CONFIG, SOCKET, Output, command
 from armctl.cli.teach import ENTER, Tool, record_take
 from armctl.errors import ConfigError, LogError, NoDaemon
+from armctl.files import data_dir, read_text
 
 if TYPE_CHECKING:
     from armctl.client import Client
@@ -39,7 +40,6 @@ def _read(file: Path) -> dict[str, Any]:
     Raises:
         ConfigError: it is none, or too long to be sent.
     """
-    from armctl.files import read_text
     from armctl.host.jsonrpc import MAX_LINE_BYTES
     from armctl.trajectory.program import program_from_text
 
@@ -66,8 +66,7 @@ def program_check(output: Output, file: Path) -> int:
     """
     program = _read(file)
     try:
-        with output.client() as client:
-            found = client.call("program_check", **program)
+        found = output.ask("program_check", **program)
     except NoDaemon:
         found = _check_here(output, program)
     output.answer(found, _in_words(found))
@@ -75,7 +74,6 @@ def program_check(output: Output, file: Path) -> int:
 
 
 def _check_here(output: Output, program: dict[str, Any]) -> dict[str, Any]:
-    from armctl.files import data_dir
     from armctl.host.programs import Site, checked
     from armctl.kinematics import robots
     from armctl.trajectory.program import Program

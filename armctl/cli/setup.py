@@ -25,7 +25,7 @@ from armctl.cli.keys import attended
 from armctl.cli.output import ARM, BAUD, CONFIG, PORT, SOCKET, Output, command
 from armctl.cli.tables import show_rows
 from armctl.errors import ArmctlError, ConfigError, NoDaemon, RequestRefused
-from armctl.files import calibration_dirs, find_arm_file, served_socket
+from armctl.files import calibration_dirs, data_dir, find_arm_file, load_arm, served_socket
 
 if TYPE_CHECKING:
     from armctl.commissioning.doctor import Check
@@ -83,7 +83,6 @@ def setup_command(output: Output, arm_file: str | None, answers: Path | None) ->
     """
     from armctl.commissioning.arm_file import active_path, arms_at_hand
     from armctl.commissioning.wizard import Wizard, progress, progress_path
-    from armctl.files import load_arm
 
     over_pipe = output.json and not answers
     person = OverPipe(output) if over_pipe else AtTerminal(output, "armctl setup", "or give --answers FILE", answers)
@@ -208,7 +207,6 @@ def doctor_command(output: Output) -> int:
     Example: armctl doctor --port /dev/ttyUSB0
     """
     from armctl.commissioning import doctor
-    from armctl.files import data_dir
 
     config, arm = output.config, output.arm
     bus = make_bus(output, arm.servo_ids)

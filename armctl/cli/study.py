@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -18,6 +18,7 @@ from armctl.cli.output import command as answering
 from armctl.cli.parameters import tables
 from armctl.cli.tables import Row, show_rows
 from armctl.errors import ConfigError, LogError
+from armctl.files import read_text
 
 if TYPE_CHECKING:
     from armctl.config import ArmConfig, Config
@@ -70,8 +71,6 @@ for _name, _of in COMMANDS.items():
 
 def run(name: str, command: Command, output: Output, asked: dict[str, Any]) -> None:
     """Do one study and show it."""
-    from dataclasses import replace
-
     from armctl.lab.line_experiment import guided_takes, named_takes
     from armctl.lab.study.case import all_rows
     from armctl.lab.study.studies import STUDIES
@@ -101,9 +100,6 @@ def run(name: str, command: Command, output: Output, asked: dict[str, Any]) -> N
 
 def _case(name: str, command: Command, asked: dict[str, Any], arm: ArmConfig, config: Config) -> Case:
     """The case that every other one is made from."""
-    from dataclasses import fields, replace
-
-    from armctl.files import read_text
     from armctl.genetic.algorithm import PROFILES
     from armctl.lab.study.case import Case
     from armctl.trajectory.plan import plan_from_text

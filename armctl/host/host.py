@@ -26,7 +26,7 @@ from armctl.host.exchange import ANSWER_S, COMMANDS, Exchange, restarting
 from armctl.host.lease import Client, Lease, Leases
 from armctl.host.snapshot import Statistics, arm_snapshot, fault_snapshots
 from armctl.host.takes import TakeRecorder, Takes
-from armctl.host.watch import Done, Leg, Watch, refuse_collision, run_name
+from armctl.host.watch import Done, Leg, Watch, holds, refuse_collision, run_name
 from armctl.kinematics.robots.robot import Robot
 from armctl.messages import (
     Jog,
@@ -358,6 +358,10 @@ class Host:
         if now.mode is not Mode.HOLDING:
             raise IllegalTransition(f"{what}: {ADVICE[now.mode].format(fault=now.fault and now.fault.code)}")
         return now.wanted_rad
+
+    def holds(self) -> bool:
+        """Whether the gripper holds something now."""
+        return self.latest is not None and holds(self.arm, [one.load_ratio for one in self.latest.outputs.joints])
 
     # --------------------------------------------------------------------------------------------- status
 

@@ -15,7 +15,7 @@ from armctl.clock import NS_PER_S
 from armctl.commissioning import sag_file
 from armctl.config import ArmConfig, Config
 from armctl.errors import ConfigError
-from armctl.host.watch import Done, Watch
+from armctl.host.watch import Done, Watch, holds
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import LagModel
@@ -23,9 +23,6 @@ from armctl.trajectory import lag, learning
 from armctl.trajectory.learning import Seen, Stand
 
 logger = logging.getLogger(__name__)
-
-# Of the load with which a gripper holds: with more it has something between its fingers.
-HELD_SHARE = 0.5
 
 
 class Learner:
@@ -60,7 +57,7 @@ class Learner:
         sums: lag.Summary | None = None
         for leg in done:
             plain = not (self.arm.correction and leg.trajectory.corrected)
-            if plain or leg.trajectory.grip is not None or self._holds(leg.watch):
+            if plain or leg.trajectory.grip is not None or holds(self.arm, leg.watch.load_ratio[-1]):
                 return ""
             if (seen := self._seen(leg.watch)) is None:
                 continue
@@ -81,14 +78,6 @@ class Learner:
             sag_file.save(self._config, lesson.model, version=self._history.version, made=made)
         sag_file.save_history(self._config, self._history)
         return lesson.change
-
-    def _holds(self, watch: Watch) -> bool:
-        """Whether the gripper had something between its fingers at the end."""
-        gripper = self.arm.gripper
-        if gripper is None:
-            return False
-        index = self.arm.joint_names.index(gripper.joint)
-        return abs(watch.load_ratio[-1][index]) >= HELD_SHARE * gripper.load_ratio
 
     def _seen(self, watch: Watch) -> Seen | None:
         """The motion from its first goal on; None: there was hardly any, or armctl had no say in part of it."""

@@ -140,6 +140,11 @@ def _command(host: Host, name: str) -> Method:
     return Method(Confirmed if name == "release" else Nothing, lambda client, _: host.command(client, name))
 
 
+def _at(path: Path) -> dict[str, Any]:
+    """A recording's name, and where it is or was."""
+    return {"name": recordings.take_name(path), "path": str(path)}
+
+
 class Methods:
     """The table of methods over one host, and the optimisation under way."""
 
@@ -153,7 +158,7 @@ class Methods:
 
     def table(self) -> dict[str, Method]:
         """Every method by name."""
-        host, folder = self._host, self._recordings_dir
+        host, folder, kept = self._host, self._recordings_dir, self._plans_dir
         site = programs.Site(host.arm, host.robot, host.period_s, folder)
         methods = {
             "status": _observed(host.status),
@@ -182,15 +187,13 @@ class Methods:
             "jog": Method(JogBeat, lambda client, p: host.jog(client, p.joints_rad_s, p.tool_m_s, p.begin)),
             "recordings_list": Method(Nothing, _in_thread(lambda _: listing(folder, host.robot)), observes=True),
             "recordings_show": Method(Show, _in_thread(self._recordings_show), observes=True),
-            "recordings_rename": Method(Rename, _in_thread(self._recordings_rename)),
-            "recordings_delete": Method(Named, _in_thread(self._recordings_delete)),
+            "recordings_rename": Method(Rename, _in_thread(lambda p: _at(recordings.rename(folder, p.name, p.to)))),
+            "recordings_delete": Method(Named, _in_thread(lambda p: _at(recordings.delete(folder, p.name)))),
             "recordings_track": Method(Named, _in_thread(self._recordings_track), observes=True),
-            "plans_list": Method(
-                Nothing, _in_thread(lambda _: {"plans": plans.listed(self._plans_dir)}), observes=True
-            ),
+            "plans_list": Method(Nothing, _in_thread(lambda _: plans.listing(kept)), observes=True),
             "plans_show": Method(Named, _in_thread(self._plans_show), observes=True),
-            "plans_save": Method(KeptPlan, _in_thread(self._plans_save)),
-            "plans_delete": Method(Named, _in_thread(self._plans_delete)),
+            "plans_save": Method(KeptPlan, _in_thread(lambda p: plans.save(kept, p.name, plan_to_text(p.plan)))),
+            "plans_delete": Method(Named, _in_thread(lambda p: plans.delete(kept, p.name))),
             "optimize": Method(RecordedRequest, self._optimize),
         }
         for name in MOTIONS & methods.keys():
@@ -288,12 +291,6 @@ class Methods:
             shown |= error_mm(distance_to_line(along.tool_m[0], A, B))
         return shown
 
-    def _recordings_rename(self, p: Rename) -> dict[str, Any]:
-        return {"name": p.to, "path": str(recordings.rename(self._recordings_dir, p.name, p.to))}
-
-    def _recordings_delete(self, p: Named) -> dict[str, Any]:
-        return {"name": p.name, "path": str(recordings.delete(self._recordings_dir, p.name))}
-
     def _recordings_track(self, p: Named) -> dict[str, Any]:
         """Its path, thinned out for drawing."""
         found = recordings.load(self._path(p.name))
@@ -312,11 +309,3 @@ class Methods:
         positions_rad = plan_positions(found, np.linspace(0.0, found.duration_s, 201))
         tool_m = tool_position(chain, positions_rad[:, : chain.n]).round(6).tolist()
         return {"name": p.name, "plan": found.model_dump(mode="json"), "tool_m": tool_m}
-
-    def _plans_save(self, p: KeptPlan) -> dict[str, Any]:
-        plans.save(self._plans_dir, p.name, plan_to_text(p.plan))
-        return {"name": p.name}
-
-    def _plans_delete(self, p: Named) -> dict[str, Any]:
-        plans.delete(self._plans_dir, p.name)
-        return {"name": p.name}

@@ -9,9 +9,12 @@ from armctl.errors import ConfigError, RequestRefused
 from armctl.recording.disk import put
 from armctl.trajectory.plan import Plan, plan_from_text
 
+# What a list tells of a plan.
+TOLD = {"via", "duration_s", "from_m", "to_m", "predicted_mean_error_mm", "predicted_max_error_mm", "arm_id"}
 
-def save(folder: Path, name: str, text: str) -> None:
-    """Keep a plan under a name that is still free.
+
+def save(folder: Path, name: str, text: str) -> dict[str, Any]:
+    """Keep a plan under a name that is still free; the name.
 
     Raises:
         RequestRefused: a plan of that name exists.
@@ -21,6 +24,7 @@ def save(folder: Path, name: str, text: str) -> None:
     if path.exists():
         raise RequestRefused("EXISTS", f"a plan {name} exists; choose another name, or delete it")
     put(path, text, replacing=False)
+    return {"name": name}
 
 
 def load(folder: Path, name: str) -> Plan:
@@ -36,8 +40,8 @@ def load(folder: Path, name: str) -> Plan:
     return plan_from_text(path.read_text(encoding="utf-8"), str(path))
 
 
-def delete(folder: Path, name: str) -> None:
-    """Remove a kept plan.
+def delete(folder: Path, name: str) -> dict[str, Any]:
+    """Remove a kept plan; its name.
 
     Raises:
         RequestRefused: there is none of that name.
@@ -46,9 +50,10 @@ def delete(folder: Path, name: str) -> None:
         _path(folder, name).unlink()
     except FileNotFoundError:
         raise RequestRefused("NO_PLAN", f"there is no plan {name}") from None
+    return {"name": name}
 
 
-def listed(folder: Path) -> list[dict[str, Any]]:
+def listing(folder: Path) -> dict[str, list[dict[str, Any]]]:
     """Every plan that can be read, the newest first."""
     found = []
     for path in sorted(folder.glob("*.json"), key=lambda path: path.stat().st_mtime_ns, reverse=True):
@@ -56,9 +61,8 @@ def listed(folder: Path) -> list[dict[str, Any]]:
             plan = plan_from_text(path.read_text(encoding="utf-8"), str(path))
         except (ConfigError, OSError, UnicodeDecodeError):
             continue
-        fields = ("via", "duration_s", "from_m", "to_m", "predicted_mean_error_mm", "predicted_max_error_mm", "arm_id")
-        found.append({"name": path.stem, **{field: getattr(plan, field) for field in fields}})
-    return found
+        found.append({"name": path.stem, **plan.model_dump(include=TOLD)})
+    return {"plans": found}
 
 
 def _path(folder: Path, name: str) -> Path:

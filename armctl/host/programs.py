@@ -26,7 +26,7 @@ from armctl.host.host import Host
 from armctl.host.jsonrpc import error_data
 from armctl.host.lease import Client, Lease
 from armctl.host.motions import move_trajectory
-from armctl.host.reach import gripped, holds
+from armctl.host.reach import gripped
 from armctl.host.watch import Leg, run_name
 from armctl.kinematics.robots.robot import Robot
 from armctl.recording import recordings
@@ -233,7 +233,7 @@ class _Job:
     async def done(self) -> dict[str, Any]:
         """Everything; the answer."""
         host, program = self.host, self.request
-        index, self.gripped = self.site.begin(program, program.from_step, holding=holds(host))
+        index, self.gripped = self.site.begin(program, program.from_step, holding=host.holds())
         rows = await asyncio.to_thread(list, self.site.check(program, host.commanded_joints("program"), index))
         wrong = [f"step {row['name']}: {row['text']}" for row in rows if not row["ok"] and row["text"] != UNCHECKED]
         if wrong:
@@ -285,12 +285,12 @@ class _Job:
             await self.host.tick()
             left -= not self.lease.paused  # while it is paused no time passes
         if step.if_gripped:
-            self.gripped = self.gripped and holds(self.host)
+            self.gripped = self.gripped and self.host.holds()
             return f"gripped: {'yes' if self.gripped else 'nothing'}"
         if not (legs := await asyncio.to_thread(self.site.legs, step)):
             return step.words
         _, done = await self.host.carry_out(self.lease, legs)
         if step.grip or step.play:  # what is played moves the gripper, too
-            self.gripped = gripped(self.host, done) if step.grip else self.gripped and holds(self.host)
+            self.gripped = gripped(self.host, done) if step.grip else self.gripped and self.host.holds()
         found = f", gripped: {'yes' if self.gripped else 'nothing'}" if step.grip == "close" else ""
         return f"{step.words}, {sum(leg.trajectory.duration_s for leg in done):.1f} s{found}"

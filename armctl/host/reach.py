@@ -13,8 +13,6 @@ from armctl.messages import JointTrajectory
 from armctl.trajectory import grasp
 from armctl.trajectory.grasp import Grasp, GripRequest, ReachRequest
 
-# Of the load asked for: with less the gripper has lost what it held.
-HELD_SHARE = 0.5
 # The leg after which the tool is at the point.
 _THERE = 1
 
@@ -68,15 +66,7 @@ async def grip(host: Host, client: Client, request: GripRequest) -> dict[str, An
 
 def gripped(host: Host, done: Sequence[Done]) -> bool:
     """Whether the gripper met something when it closed, and holds it."""
-    return any(leg.reply.code == "GRIPPED" for leg in done) and holds(host)
-
-
-def holds(host: Host) -> bool:
-    """Whether the gripper's load says that it holds something; an arm without a gripper holds nothing."""
-    if host.arm.gripper is None or host.latest is None:
-        return False
-    index, gripper = grasp.gripper_of(host.arm, host.robot)
-    return abs(host.latest.outputs.joints[index].load_ratio) >= HELD_SHARE * gripper.load_ratio
+    return any(leg.reply.code == "GRIPPED" for leg in done) and host.holds()
 
 
 def _legs(host: Host, request: ReachRequest, planned: list[Grasp]) -> list[Leg]:

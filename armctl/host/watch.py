@@ -17,6 +17,8 @@ from armctl.trajectory.collision import judged_pairs, link_clearance, link_point
 JOG_LOOK_S = 0.5
 JOG_LOOKS = 11
 SAME_M = 1e-6
+# Of the load asked for: with less the gripper holds nothing, or has lost it.
+HELD_SHARE = 0.5
 # Makes a trajectory from where the joints are told to be [rad]; refuses what must not be run.
 Leg = Callable[[Sequence[float]], JointTrajectory]
 
@@ -69,6 +71,17 @@ class Done:
     trajectory: JointTrajectory
     watch: Watch
     reply: Reply
+
+
+def holds(arm: ArmConfig, load_ratio: Sequence[float]) -> bool:
+    """Whether the gripper's load says that it holds something; an arm without a gripper holds nothing.
+
+    Args:
+        load_ratio: Of every joint.
+    """
+    gripper = arm.gripper
+    held = 0.0 if gripper is None else abs(load_ratio[arm.joint_names.index(gripper.joint)])
+    return gripper is not None and held >= HELD_SHARE * gripper.load_ratio
 
 
 def refuse_collision(q_now: Sequence[float], joints_rad_s: Sequence[float], arm: ArmConfig, robot: Robot) -> None:

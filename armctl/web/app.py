@@ -155,7 +155,7 @@ def _live(daemon: Connections, guard: Guard) -> APIRouter:
                 await socket.close(1008, "the token is missing or wrong")
             return
         async with daemon.page() as messages:
-            leaving = asyncio.create_task(_until_left(socket))
+            leaving = asyncio.create_task(_left(socket))
             while not leaving.done():
                 waiting = asyncio.create_task(messages.get())
                 await asyncio.wait((leaving, waiting), return_when=asyncio.FIRST_COMPLETED)
@@ -170,12 +170,6 @@ def _live(daemon: Connections, guard: Guard) -> APIRouter:
                     waiting.cancel()
 
     return router
-
-
-async def _until_left(socket: WebSocket) -> None:
-    with contextlib.suppress(WebSocketDisconnect, RuntimeError, KeyError):
-        while True:
-            await socket.receive_text()
 
 
 def _commands(daemon: Connections, set_up: SetUp) -> APIRouter:
@@ -207,10 +201,11 @@ def _commands(daemon: Connections, set_up: SetUp) -> APIRouter:
     return router
 
 
-async def _left(request: Request) -> None:
+async def _left(page: Request | WebSocket) -> None:
     """Wait until whoever asks is gone."""
-    while (await request.receive())["type"] != "http.disconnect":
-        pass
+    with contextlib.suppress(RuntimeError):  # it was gone already
+        while not (await page.receive())["type"].endswith(".disconnect"):
+            pass
 
 
 def _handed_on(daemon: Connections, method: str, given: dict[str, Any], text: str) -> Callable[..., Any]:

@@ -22,9 +22,9 @@ def test_a_plan_is_kept_and_never_overwritten(tmp_path: Path) -> None:
 def test_the_list_leaves_out_what_is_no_plan(tmp_path: Path) -> None:
     plans.save(tmp_path, "good", plan_to_text(PLAN))
     (tmp_path / "bad.json").write_text("{")
-    [found] = plans.listed(tmp_path)
+    [found] = plans.listing(tmp_path)["plans"]
     assert (found["name"], found["via"], found["predicted_mean_error_mm"]) == ("good", 2, 0.2)
-    assert plans.listed(tmp_path / "none") == []
+    assert plans.listing(tmp_path / "none") == {"plans": []}
 
 
 def test_a_missing_plan_is_said_so(tmp_path: Path) -> None:
