@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from armctl.cli.output import HOLDS, SOCKET, Output, command, millimetres
-from armctl.cli.tables import show_rows
+from armctl.cli.tables import joint_table, show_rows
 from armctl.errors import NoDaemon
 from armctl.files import served_socket
 
@@ -71,20 +71,16 @@ def watch_command(output: Output) -> None:
                     print(_line(snapshot), flush=True)
 
 
-WIDEST_NAME = 14
 # Characters that show where a joint is between its limits.
 BAR = 12
 
 
 def picture(snapshot: dict[str, Any]) -> RenderableType:
     from rich.console import Group
-    from rich.table import Table
     from rich.text import Text
 
-    joints = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))
-    joints.add_column("joint", overflow="fold", max_width=WIDEST_NAME)
-    for column in ("id", "deg", "limits", "deg/s", "load %", "V", "degC", "torque", "age s"):
-        joints.add_column(column, justify="left" if column == "limits" else "right", no_wrap=True, overflow="fold")
+    columns = ("id", "deg", "limits", "deg/s", "load %", "V", "degC", "torque", "age s")
+    joints = joint_table(*columns, left=("limits",))
     for joint in snapshot["joints"]:
         read: tuple[str | Text, ...] = ("-", "", *["-"] * 5)
         if joint["position_rad"] is not None:

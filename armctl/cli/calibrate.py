@@ -172,6 +172,5 @@ def show_fit(output: Output, fit: Fit) -> None:
             output.say(f"{parameter.name} is left alone: {parameter.held}")
     if not fit.complete:
         output.say("What these points do not show was left alone, and the rest is only good near these postures:")
-        output.say(
-            "touch every point in more postures (elbow high and low, tool steep and flat) before you rely on it."
-        )
+        postures = "more postures (elbow high and low, tool steep and flat)"
+        output.say(f"touch every point in {postures} before you rely on it.")

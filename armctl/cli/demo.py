@@ -93,7 +93,7 @@ def show(output: Output, result: dict[str, Any]) -> None:
     show_rows(output.console, "demo", "Distance of the tool from the line, mean / maximum, mm", rows)
     best_take_mm = min(take["mean_error_mm"] for take in result["baseline"])
     replayed = result["replay"]
-    ours, papers = (_seconds(durations_s) for durations_s in zip(*map(_durations_s, rows), strict=True))
+    ours, papers = _seconds(row["duration_s"] for row in rows), _seconds(row["paper"].duration_s for row in rows)
     output.say(
         f"""\
 The motions take {ours}, the paper's {papers}.
@@ -105,19 +105,10 @@ True: the tool's real place. Own line: held against its own best line.
 Genetic algorithm: {result["ga"]["mean_error_mm"]:.2f} mm mean, the best take {best_take_mm:.2f} mm;
     {result["gap_ratio"]:.2%} above the exact optimum of the same genes.
 Replay: {replayed["ticks"]} ticks, {replayed["messages"]} messages, {replayed["mismatches"]} mismatches.
-Report: {_short(result["report"])}"""
+Report: {min(result["report"], os.path.relpath(result["report"]), key=len)}"""
     )
-
-
-def _durations_s(row: dict[str, Any]) -> tuple[float, float]:
-    return row["duration_s"], row["paper"].duration_s
 
 
 def _seconds(durations_s: Iterable[float]) -> str:
     """Each duration once, in order."""
     return ", ".join(dict.fromkeys(f"{duration_s:.1f}" for duration_s in durations_s)) + " s"
-
-
-def _short(path: str) -> str:
-    """A path as it is typed from here, where that is shorter."""
-    return min(path, os.path.relpath(path), key=len)

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from armctl.cli.output import ARM, CONFIG, HOLDS, SOCKET, Output, command
 from armctl.cli.tables import show_rows
 from armctl.errors import ConfigError
-
-if TYPE_CHECKING:
-    pass
 
 
 @click.group("experiment")

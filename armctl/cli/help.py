@@ -48,10 +48,8 @@ def page(topic: str) -> str:
     """
     if topic not in TOPICS:
         raise ConfigError("armctl help", topic, "no such topic", f"topics: {', '.join(TOPICS)}")
-    if topic == "configuration":
-        return configuration_page()
-    if topic == "faults":
-        return faults_page()
+    if topic in MADE:
+        return MADE[topic]()
     return (DOCS / f"{topic}.md").read_text(encoding="utf-8")
 
 
@@ -97,6 +95,7 @@ def configuration_page() -> str:
     return "\n".join([intro, *(f"## {heading}\n{_keys(model)}" for heading, model in sections.items())])
 
 
+MADE = {"configuration": configuration_page, "faults": faults_page}
 # Type in JSON's words -> what a person calls it.
 KINDS = {"string": "text", "integer": "whole number", "array": "list", "object": "names and values"}
 BOUNDS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}

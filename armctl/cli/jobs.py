@@ -143,27 +143,26 @@ def optimize_command(
     (plan,) = result["plans"]
     put(out, plan["text"])
     plan = {"path": str(out)} | {key: value for key, value in plan.items() if key != "text"}
-    answer = {key: result[key] for key in ("baseline", "best_take_mm", "ga", "exact", "gap_ratio", "free")} | {
-        "plan": plan
-    }
-    output.answer(answer, partial(show_optimum, output, result, plan))
+    answer = {key: result[key] for key in ("baseline", "best_take_mm", "ga", "exact", "gap_ratio", "free")}
+    output.answer({**answer, "plan": plan}, partial(show_optimum, output, result, plan))
 
 
 def show_optimum(output: Output, result: dict[str, Any], plan: dict[str, Any]) -> None:
-    rows = [
-        (take["name"], f"{take['mean_error_mm']:.2f}", f"{take['max_error_mm']:.2f}") for take in result["baseline"]
-    ]
+    def row(path: str, of: dict[str, Any], kind: str = "") -> tuple[str, ...]:
+        return path, f"{of[f'{kind}mean_error_mm']:.2f}", f"{of[f'{kind}max_error_mm']:.2f}"
+
     found = {
         "genetic algorithm": result["ga"],
         f"exact optimum, gap {result['gap_ratio']:.2%}": result["exact"],
         "genes set free": result["free"],
     }
-    rows += [(path, f"{error['mean_error_mm']:.2f}", "") for path, error in found.items() if error]
-    mean, worst = (f"{plan[f'predicted_{kind}_error_mm']:.2f}" for kind in ("mean", "max"))
-    rows.append((f"plan with {plan['via']} via points, on perfect servos", mean, worst))
-    mean, worst = (f"{plan[f'expected_{kind}_error_mm']:.2f}" for kind in ("mean", "max"))
     whose = "this arm's" if plan["sag_model"] else "a new arm's"
-    rows.append((f"to be expected, by {whose} model of the sag", mean, worst))
+    rows = [
+        *(row(take["name"], take) for take in result["baseline"]),
+        *((*row(path, error)[:2], "") for path, error in found.items() if error),
+        row(f"plan with {plan['via']} via points, on perfect servos", plan, "predicted_"),
+        row(f"to be expected, by {whose} model of the sag", plan, "expected_"),
+    ]
     title = f"Distance from {WANTED}, at places of equal progress, mm"
     show_table(output.console, title, ("path", "mean", "maximum"), rows, words=("path",))
 

@@ -144,10 +144,10 @@ def info(output: Output, log: Path) -> None:
         return
     output.say(f"{found.messages} messages in {found.duration_s:.1f} s")
     show_topics(output, found.topics)
-    if not found.complete:
-        output.say(f"The file was not closed properly; its intact part is shown. Repair it: armctl log recover {log}")
-    elif not found.summary_ok:
-        output.say(f"Its summary is damaged, and some readers will refuse it. Repair it: armctl log recover {log}")
+    damaged = "Its summary is damaged, and some readers will refuse it"
+    trouble = damaged if found.complete else "The file was not closed properly; its intact part is shown"
+    if not (found.complete and found.summary_ok):
+        output.say(f"{trouble}. Repair it: armctl log recover {log}")
 
 
 def show_topics(output: Output, topics: Mapping[str, int]) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from armctl.cli.keys import keys
 from armctl.cli.output import Output, arm_option, command
+from armctl.cli.tables import joint_table
 from armctl.errors import ArmctlError
 
 if TYPE_CHECKING:
@@ -143,14 +144,10 @@ def picture(timeline: Timeline, player: Player) -> RenderableType:
     """One frame for a terminal: joints, tool, state, fault, and what happened last."""
     from rich.console import Group
     from rich.progress_bar import ProgressBar
-    from rich.table import Table
     from rich.text import Text
 
     i = timeline.index(player.at_s)
-    joints = Table(box=None, pad_edge=False)
-    joints.add_column("joint", overflow="fold")
-    for column in ("deg", "goal", "deg/s", "load %", "V", "degC", "torque"):
-        joints.add_column(column, justify="right", no_wrap=True, overflow="fold")
+    joints = joint_table("deg", "goal", "deg/s", "load %", "V", "degC", "torque")
     for j, name in enumerate(timeline.arm.joint_names):
         joints.add_row(
             name,

@@ -289,12 +289,14 @@ def command(
     return made
 
 
-def kept_option(attribute: str, *names: str, **about: Any) -> click.Option:
-    """An option whose value stands in the `Output`, under the name of an attribute."""
+def kept_option(
+    attribute: str, *names: str, made: Callable[[Any], Any] = lambda value: value, **about: Any
+) -> click.Option:
+    """An option whose value, or what is made of it, stands in the `Output`, under the name of an attribute."""
 
     def keep(ctx: click.Context, _parameter: click.Parameter, value: Any) -> None:
         if value is not None and value is not False:  # what a group was given stays for its commands
-            setattr(ctx.ensure_object(Output), attribute, value)
+            setattr(ctx.ensure_object(Output), attribute, made(value))
 
     return click.Option([*names], expose_value=False, callback=keep, **about)
 
@@ -308,16 +310,11 @@ JSON = kept_option("json", "--json", is_flag=True, is_eager=True, help="One JSON
 SOCKET = kept_option("socket", "--socket", metavar="PATH", help="The daemon's socket (ARMCTL_SOCKET).")
 
 
-def _choose(ctx: click.Context, _parameter: click.Parameter, name: str | None) -> None:
-    if name:
-        ctx.ensure_object(Output).socket = served_socket(name)
-
-
-SERVED = click.Option(
-    ["--arm"],
+SERVED = kept_option(
+    "socket",
+    "--arm",
+    made=served_socket,
     metavar="NAME",
-    expose_value=False,
-    callback=_choose,
     shell_complete=complete("services"),
     help="Of several arms that are services, this one (armctl@NAME).",
 )

@@ -139,9 +139,8 @@ class AtTerminal:
                 return fitting[0]
 
     def again(self, refusal: RequestRefused) -> bool:
-        return (
-            not self._prepared and self.ask("again", f"{refusal}\ntry again, or break off?", ("again", "q")) == "again"
-        )
+        text = f"{refusal}\ntry again, or break off?"
+        return not self._prepared and self.ask("again", text, ("again", "q")) == "again"
 
     def _show(self, key: str, text: str, choices: Sequence[str]) -> None:
         wanted = f" ({', '.join(choices)})" if choices else "" if key == "name" else ", then press Enter"
@@ -289,9 +288,8 @@ def install_command(output: Output, dry_run: bool, root: Path, yes: bool, **want
     wanted["user"] = os.environ.get("SUDO_USER", "") if wanted["user"] is None else wanted["user"]
     acts = installation(**wanted, root=root)
     if root == SYSTEM and not dry_run and (missing := missing_commands(acts)):
-        raise ConfigError(
-            "armctl install", "", f"this system has no {', '.join(missing)}", "run `armctl daemon` by hand instead"
-        )
+        why = f"this system has no {', '.join(missing)}"
+        raise ConfigError("armctl install", "", why, "run `armctl daemon` by hand instead")
     if not dry_run and root == SYSTEM:
         _refuse_moving(act.command for act in acts if isinstance(act, Run) and act.due(root))
     differences = [text for act in acts if isinstance(act, File) and (text := act.difference(root))]

@@ -16,10 +16,13 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.table import Table
 
 Row = Mapping[str, Any]
 # What stands in the tables that are made from rows of data, by their names.
 TABLES = Path(__file__).with_name("tables.yaml")
+# Of a joint, in a picture.
+WIDEST_NAME = 14
 # Characters between two columns, the first that fits is taken.
 GAPS = (3, 2, 1)
 
@@ -78,6 +81,21 @@ def _filled(row: Row, template: str, needed: str | None = None, otherwise: str =
     if needed is not None and (row.get(needed) is None or row[needed] is False):
         return otherwise
     return template.format_map(row)
+
+
+def joint_table(*columns: str, left: Collection[str] = ()) -> Table:
+    """A table with a line for each joint, for a picture that is drawn again and again.
+
+    Args:
+        left: Columns that are set from the left.
+    """
+    from rich.table import Table
+
+    joints = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))
+    joints.add_column("joint", overflow="fold", max_width=WIDEST_NAME)
+    for column in columns:
+        joints.add_column(column, justify="left" if column in left else "right", no_wrap=True, overflow="fold")
+    return joints
 
 
 def layout(cells: Sequence[Sequence[str]], worded: Sequence[bool], total: int) -> tuple[int, list[int]]:

@@ -49,9 +49,8 @@ class Protocol:
             RequestRefused: code LIMIT, a parameter is not a finite number.
         """
         self._last_id += 1
-        request = {"jsonrpc": "2.0", "id": self._last_id, "method": method, "params": params} | (
-            {"person": person} if person else {}
-        )
+        request = {"jsonrpc": "2.0", "id": self._last_id, "method": method, "params": params}
+        request |= {"person": person} if person else {}
         try:
             line = json.dumps(request, separators=(",", ":"), allow_nan=False, default=methodcaller("tolist"))
         except ValueError as error:

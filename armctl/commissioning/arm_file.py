@@ -51,10 +51,8 @@ def _of_rest_pose(arm: ArmConfig, points: np.ndarray) -> Iterator[tuple[str, str
         return
     below_m = float(floor_clearance(points, arm.floor_m, arm.link_radius_m).min())
     if below_m < 0.0:
-        yield (
-            "joints.rest_deg",
-            f"the arm at rest is {-1e3 * below_m:.0f} mm in the floor; lower floor_m, or fold the arm",
-        )
+        text = f"the arm at rest is {-1e3 * below_m:.0f} mm in the floor"
+        yield "joints.rest_deg", f"{text}; lower floor_m, or fold the arm"
     pairs = judged_pairs(points, arm.link_radius_m)
     for (i, j), gap_m in zip(pairs.tolist(), link_clearance(points, pairs, arm.link_radius_m).tolist(), strict=True):
         if gap_m < 0.0:
@@ -149,20 +147,18 @@ def arms_at_hand() -> list[dict[str, Any]]:
 
 
 def _told(path: Path, source: str) -> dict[str, Any]:
+    where = {"name": path.stem, "source": source, "path": str(path)}
     try:
         arm = load_arm(str(path))
         joints = robots.of(arm).chain.n
     except ConfigError as error:
         title = f"cannot be read: {error.key}: {error.problem}".split("\n")[0]
-        return {"name": path.stem, "title": title, "joints": 0, "servos": 0, "gripper": None, "source": source,
-                "path": str(path)}  # fmt: skip
+        return {**where, "title": title, "joints": 0, "servos": 0, "gripper": None}
     remark = " ".join(line[1:].strip() for line in read_text(path, "calibration").split("\n") if line.startswith("#"))
     return {
-        "name": path.stem,
+        **where,
         "title": remark.partition(". ")[0].partition(": ")[0].rstrip(".") or arm.arm_id,
         "joints": joints,
         "servos": len(arm.joints),
         "gripper": arm.gripper.joint if arm.gripper else None,
-        "source": source,
-        "path": str(path),
     }

@@ -346,6 +346,5 @@ def recalibrated(arm: ArmConfig, zero_ticks: Sequence[float], lengths_m: dict[st
 def calibration_text(arm: ArmConfig, remarks: Sequence[str]) -> str:
     """The YAML file of an arm, opening with remarks."""
     data = arm.model_dump(mode="json", exclude_unset=True)
-    return "".join(f"# {remark}\n" for remark in remarks) + yaml.safe_dump(
-        data, sort_keys=False, default_flow_style=None, width=120
-    )
+    text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=120)
+    return "".join(f"# {remark}\n" for remark in remarks) + text

@@ -85,9 +85,8 @@ def every_servo(opened: Opened, person: Person, needed: int) -> tuple[Servo, ...
         elif len(found) >= needed:
             return tuple(map(_driven, found))
         elif not bent:  # two of one id that read the same look like one
-            person.ask(
-                "bend", "a servo is missing: bend the arm by hand, so that no two joints stand alike, and hold it"
-            )
+            text = "a servo is missing: bend the arm by hand, so that no two joints stand alike, and hold it"
+            person.ask("bend", text)
             bent = True
         else:
             break

@@ -26,6 +26,7 @@ _log = logging.getLogger(__name__)
 MODELS = 10
 
 Row = Annotated[tuple[float, ...], Field(strict=False)]
+Rows = Annotated[tuple[Row, ...], Field(strict=False)]
 
 
 class SagFile(Frozen):
@@ -34,7 +35,7 @@ class SagFile(Frozen):
     arm_id: Name
     calibration_hash: str = Field(max_length=64)
     # Of each downstream link [rad/m], shape (n, n).
-    gravity_rad_m: tuple[Row, ...] = Field(strict=False)
+    gravity_rad_m: Rows
     friction_rad: Row
     damping_s: Row
     constant_rad: Row
@@ -78,9 +79,8 @@ def load(config: Config, arm: ArmConfig) -> LagModel | None:
         raise ConfigError(str(path), "", f"not JSON: {error}", "identify it again") from None
     found = validate(SagFile, data, str(path))
     if (found.arm_id, found.calibration_hash) != (arm.arm_id, arm.calibration_hash):
-        _log.warning(
-            "%s: of calibration %s, the arm has %s; not used", path, found.calibration_hash, arm.calibration_hash
-        )
+        text = "%s: of calibration %s, the arm has %s; not used"
+        _log.warning(text, path, found.calibration_hash, arm.calibration_hash)
         return None
     columns = (found.friction_rad, found.damping_s, found.constant_rad)
     rows = np.column_stack([found.gravity_rad_m, *columns]).tolist()
@@ -123,7 +123,7 @@ class Found(Frozen):
     version: int
     made: str
     motions: int
-    rows: tuple[Row, ...] = Field(strict=False)
+    rows: Rows
 
 
 class History(Frozen):
@@ -134,9 +134,7 @@ class History(Frozen):
     # See `learning.Experience`.
     strange: int = Field(0, ge=0)
     # Of each motion, the oldest first: of each joint the upper triangle of XX, Xy, yy and the count.
-    motions: Annotated[
-        tuple[Annotated[tuple[Row, ...], Field(strict=False)], ...], Field(max_length=KEPT, strict=False)
-    ]
+    motions: Annotated[tuple[Rows, ...], Field(max_length=KEPT, strict=False)]
     # The newest last.
     models: Annotated[tuple[Found, ...], Field(max_length=MODELS, strict=False)]
 

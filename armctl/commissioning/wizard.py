@@ -157,10 +157,8 @@ class Wizard:
             except RequestRefused as refusal:
                 if refusal.code != "SERVO_SILENT":
                     raise
-                text = (
-                    f"{name} at {end}: {str(refusal).split(';')[0]}; check the cables, and if they are tight, {BLIND}"
-                )
-                raise RequestRefused("UNREAD", text) from None
+                mute = f"{name} at {end}: {str(refusal).split(';')[0]}"
+                raise RequestRefused("UNREAD", f"{mute}; check the cables, and if they are tight, {BLIND}") from None
         ways = np.abs(np.diff(readings, axis=0)[0])
         first, *more = np.argsort(-ways).tolist()
         servo, others = self.found.servos[first], {one.servo.servo_id: key for key, one in self.found.joints.items()}
@@ -187,10 +185,8 @@ class Wizard:
             middle = np.array([sum(joint.limits_rad) / 2.0 for joint in self.kind.joints])
             self._at("middle", "hold every joint about in the middle of its range", middle, 0.25)
         for name in due:
-            wall, seen = (
-                self.found.joints[name].wall(name),
-                sense(self._robot, middle, self.kind.joint_names.index(name)),
-            )
+            wall = self.found.joints[name].wall(name)
+            seen = sense(self._robot, middle, self.kind.joint_names.index(name))
             text = f"{name} turns by 9 deg and back, slowly and weakly. Is it free, and held so that nothing can fall?"
             if self._person.ask(f"{name}.free", text, YES) != "yes":
                 raise RequestRefused("NOT_FREE", f"{name} stays limp until it is free to turn by 9 deg both ways")

@@ -63,10 +63,9 @@ class Named(Frozen):
     name: Name
 
 
-class Show(Frozen):
+class Show(Named):
     """A recording, and the line its errors are wanted against; without one, that from its first to its last point."""
 
-    name: Name
     from_m: Point | None = None
     to_m: Point | None = None
 
@@ -82,8 +81,7 @@ class KeptPlan(Frozen):
     plan: Plan
 
 
-class Rename(Frozen):
-    name: Name
+class Rename(Named):
     to: Name
 
 
@@ -222,10 +220,9 @@ class Methods:
         """The method's handler, whose use and outcome go into the log."""
 
         async def noted(client: Connection, p: Any) -> dict[str, Any]:
-            outcome: dict[str, Any] = {"request": name, "who": client.name} | (
-                {"person": person} if (person := PERSON.get()) else {}
-            )
-            if isinstance(p, Named | Rename):
+            outcome: dict[str, Any] = {"request": name, "who": client.name}
+            outcome |= {"person": person} if (person := PERSON.get()) else {}
+            if isinstance(p, Named):
                 outcome["params"] = p.model_dump()
             try:
                 result = await method.handle(client, p)

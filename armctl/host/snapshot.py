@@ -107,13 +107,12 @@ def fault_snapshots(latest: TickRecord | None, lost_ns: int | None, now_ns: int)
 
 
 def _card(fault: Fault, told: tuple[str, str], now_ns: int) -> dict[str, Any]:
-    arm, following = told
     return {
         "code": fault.code,
         "servo_id": fault.servo_id,
         "since_s": max(0, now_ns - fault.since_ns) / NS_PER_S,
-        "arm": arm,
-        "next": following,
+        "arm": told[0],
+        "next": told[1],
         "text": fault.text,
         "follows": fault.follows or None,
     }

@@ -33,9 +33,8 @@ from armctl.web.tokens import Tokens
 
 TOKEN_WAIT_S = 5.0
 ErrorBody = {"description": "Refused: `error` holds `code`, `message` and `reasons`."}
-REFUSALS: dict[int | str, dict[str, Any]] = dict.fromkeys(
-    (400, 401, 403, 404, 405, 409, 413, 415, 421, 422, 503), ErrorBody
-)
+REFUSED = (400, 401, 403, 404, 405, 409, 413, 415, 421, 422, 503)
+REFUSALS: dict[int | str, dict[str, Any]] = dict.fromkeys(REFUSED, ErrorBody)
 
 # HTTP status of an error of armctl; of every other kind 409.
 STATUSES: dict[type[ArmctlError], int] = {NoDaemon: 503, LogError: 404, ConfigError: 422}

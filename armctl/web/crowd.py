@@ -2,7 +2,7 @@
 
 Rules.
 1. A client owes the rest of a request it has begun (a connection begins one), or to take the answer to it. What it owes
-   has to come within `REQUEST_S` or `ANSWER_S` in all, however many bytes come meanwhile.
+   has to come within `DUE_S` in all, however many bytes come meanwhile.
 2. There are `PLACES` connections. One more takes the place of the one that owes something longest, else of the one that
    has nothing to ask longest: half-sent requests never keep out a whole one, such as STOP.
 3. Live views have places of their own, `VIEWS`.
@@ -18,10 +18,11 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 PLACES = 64
 VIEWS = 64
-REQUEST_S = 5.0
-ANSWER_S = 30.0
 
 Owes = Literal["request", "answer", "nothing", "served"]
+# Within how long it has to come, and what is said where it does not.
+DUE_S: dict[Owes, float] = {"request": 5.0, "answer": 30.0}
+MISSED: dict[Owes, str] = {"request": "the request is not whole", "answer": "the answer is not taken"}
 
 
 class Connection(H11Protocol):
@@ -33,8 +34,7 @@ class Connection(H11Protocol):
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
-        self._since_s = self.loop.time()
-        self._expect(REQUEST_S, "the request is not whole")
+        self._owe("request")
         others = [one for one in self.connections if isinstance(one, Connection) and one is not self]
         if len(others) >= PLACES:
             waiting = [one for one in others if one._owes != "served"]
@@ -73,17 +73,18 @@ class Connection(H11Protocol):
         super().handle_websocket_upgrade(event)
 
     def _look(self) -> None:
-        """See what the client owes now; the clock of a new debt begins."""
-        if self not in self.connections:
-            return  # it is a WebSocket's by now, or gone
-        owes = self._debt()
-        if owes != self._owes:
-            self._stop_timer()
-            self._owes, self._since_s = owes, self.loop.time()
-            if owes == "request":
-                self._expect(REQUEST_S, "the request is not whole")
-            elif owes == "answer":
-                self._expect(ANSWER_S, "the answer is not taken")
+        """See what the client owes now."""
+        # Otherwise it is a WebSocket's by now, or gone.
+        if self in self.connections and (owes := self._debt()) != self._owes:
+            self._owe(owes)
+
+    def _owe(self, owes: Owes) -> None:
+        """The clock of a new debt begins."""
+        self._stop_timer()
+        self._owes, self._since_s = owes, self.loop.time()
+        if owes in DUE_S:
+            reason = f"{MISSED[owes]} after {DUE_S[owes]:g} s; ask again, all at once"
+            self._timer = self.loop.call_later(DUE_S[owes], self._send_away, 408, "TOO_SLOW", reason)
 
     def _debt(self) -> Owes:
         if self.flow.write_paused:
@@ -92,10 +93,6 @@ class Connection(H11Protocol):
             begun = self.cycle is None or bool(self.conn.trailing_data[0])
             return "request" if begun else "nothing"
         return "request" if self.cycle.more_body else "served"
-
-    def _expect(self, within_s: float, otherwise: str) -> None:
-        reason = f"{otherwise} after {within_s:g} s; ask again, all at once"
-        self._timer = self.loop.call_later(within_s, self._send_away, 408, "TOO_SLOW", reason)
 
     def _send_away(self, status: int, code: str, reason: str) -> None:
         """Close at once, with a reason where no answer has begun."""

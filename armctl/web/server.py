@@ -143,9 +143,8 @@ def _tls(folder: Path, name: str) -> tuple[Path, Path]:
             command = ("openssl", "req", *how, *about, "-keyout", str(key), "-out", str(certificate))
             made = subprocess.run(command, capture_output=True, text=True, timeout=60)
         except (OSError, subprocess.TimeoutExpired) as error:
-            raise ArmctlError(
-                f"no key can be made in {folder}: {error}; install it: sudo apt install openssl"
-            ) from None
+            remedy = "install it: sudo apt install openssl"
+            raise ArmctlError(f"no key can be made in {folder}: {error}; {remedy}") from None
         if made.returncode != 0:
             raise ArmctlError(f"no key can be made in {folder}: {made.stderr.strip()[-300:]}")
         key.chmod(0o600)

@@ -19,7 +19,7 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -27,7 +27,6 @@ from armctl.config import NAME_PATTERN
 from armctl.errors import ConfigError
 
 Role = Literal["look", "command"]
-ROLES: tuple[str, ...] = get_args(Role)
 TOKEN_BYTES = 24
 # Who came by the local address.
 LOCAL = "local"

@@ -111,7 +111,7 @@ async def test_stop_is_served_beside_70_half_sent_requests_and_the_oldest_make_r
 async def test_what_is_not_a_whole_request_in_time_ends_with_a_word_however_slowly_bytes_come(
     port: Port, begun: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(crowd, "REQUEST_S", 0.2)
+    monkeypatch.setitem(crowd.DUE_S, "request", 0.2)
     client, slow = await port.say(begun), await port.say(b"GET / HTTP/1.1\r\nx: ")
 
     async def trickle() -> None:
@@ -131,7 +131,7 @@ async def test_what_is_not_a_whole_request_in_time_ends_with_a_word_however_slow
 async def test_a_client_that_has_nothing_to_ask_is_left_alone_and_its_next_half_request_is_not(
     port: Port, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(crowd, "REQUEST_S", 0.1)
+    monkeypatch.setitem(crowd.DUE_S, "request", 0.1)
     client = await port.say(WHOLE)
     assert await answer(client) == (200, b"ok")
     assert (await refusal(await port.say(b"POST"))).startswith("408 ")
@@ -142,7 +142,7 @@ async def test_a_client_that_has_nothing_to_ask_is_left_alone_and_its_next_half_
 
 
 async def test_who_does_not_take_the_answer_is_cut_off(port: Port, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(crowd, "ANSWER_S", 0.1)
+    monkeypatch.setitem(crowd.DUE_S, "answer", 0.1)
     client = await port.say(WHOLE.replace(b"/stop", b"/much"))
     client[1].transport.pause_reading()  # type: ignore[attr-defined]
     await until(lambda: port.served == 1)
