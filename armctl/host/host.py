@@ -356,7 +356,8 @@ class Host:
             raise restarting()
         now = latest.outputs
         if now.mode is not Mode.HOLDING:
-            raise IllegalTransition(f"{what}: {ADVICE[now.mode].format(fault=now.fault and now.fault.code)}")
+            why = ADVICE[now.mode].format(fault=now.fault and now.fault.code)
+            raise IllegalTransition(f"{what} is not possible while {now.mode.value}: {why}")
         return now.wanted_rad
 
     def holds(self) -> bool:
