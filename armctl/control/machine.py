@@ -275,6 +275,8 @@ class Following:
     age_s: float = 0.0
     # How far joints that stand have been off of late; empty: nothing is known yet.
     off_rad: tuple[float, ...] = ()
+    # For how long each joint has stood.
+    stood_s: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,8 @@ A goal is where a joint is wanted a tick ahead, by a trajectory or a jog, and it
 2. A trim that grows slowly by what the encoders show, at the instants at which they were read; it begins anew with each
    motion. A joint that is far off is kept from where it is wanted, and not trimmed. Nothing is trimmed in a motion that
    is being stopped, nor while a fault is latched.
-3. A joint that hardly moves stands in its friction: a growing trim would have it jump in the middle of a line. It is
-   looked at for `STANDING_S`, and trimmed at once by how far it is off, where that is more than `STANDS_RAD`.
+3. A joint that has hardly moved for `STANDING_S` stands in its friction: a growing trim would have it jump in the
+   middle of a line. It is trimmed at once by how far it was off of late, where that is more than `STANDS_RAD`.
 4. What the motion before has left of a correction, which is blended out within `BLEND_S`.
 5. Goals are whole ticks. Of those beside the exact ones of all joints together, they are those that keep the tool
    nearest to where exact ones would have it, and that turn no joint back.
@@ -177,17 +177,21 @@ def trim(s: Tick) -> None:
         return
     begun = min(1.0, f.age_s / BLEND_S)
     gain, look = TRIM_RATE * s.period_s * begun, min(1.0, s.period_s / STANDING_S) * begun
-    trims, off = list(f.trim_rad), list(f.off_rad or (0.0,) * len(s.wire))
+    none = (0.0,) * len(s.wire)
+    trims, off, stood_s = list(f.trim_rad), list(f.off_rad or none), list(f.stood_s or none)
     for i in range(s.robot.chain.n):
         since_s = (s.inputs.sample.servos[i].stamp_ns - s.state.goal_ns) / NS_PER_S - s.period_s
         error = f.wanted_rad[i] + f.velocity_rad_s[i] * since_s - s.joints[i].position_rad
-        stands = abs(f.velocity_rad_s[i]) < STANDING_RAD_S
-        off[i] = off[i] + look * (error - off[i]) if stands else 0.0
+        if abs(f.velocity_rad_s[i]) >= STANDING_RAD_S:
+            off[i] = stood_s[i] = 0.0
+        else:
+            off[i], stood_s[i] = off[i] + look * (error - off[i]), stood_s[i] + s.period_s
+        stands = stood_s[i] >= STANDING_S
         if abs(error) > FAR_RAD or (stands and abs(off[i]) < STANDS_RAD):
             continue
-        change = off[i] if stands else gain * error
-        trims[i], off[i] = min(max(trims[i] + change, -TRIM_RAD), TRIM_RAD), 0.0
-    s.state.following = replace(f, trim_rad=tuple(trims), off_rad=tuple(off))
+        trims[i] = min(max(trims[i] + (off[i] if stands else gain * error), -TRIM_RAD), TRIM_RAD)
+        off[i] = 0.0 if stands else off[i]
+    s.state.following = replace(f, trim_rad=tuple(trims), off_rad=tuple(off), stood_s=tuple(stood_s))
 
 
 def aimed(s: Tick, wanted_rad: Sequence[float], velocity_rad_s: Sequence[float]) -> tuple[list[int], Following]:
@@ -208,9 +212,8 @@ def aimed(s: Tick, wanted_rad: Sequence[float], velocity_rad_s: Sequence[float])
         off = wanted[i] - s.joints[i].position_rad
         low, high = max(-MOST_RAD, min(0.0, -AWAY_RAD - off)), min(MOST_RAD, max(0.0, AWAY_RAD - off))
         given[i] = min(max(min(max(correction, low), high), last - most), last + most)
-    after = Following(
-        f.corrected, wanted, tuple(velocity_rad_s), side, f.trim_rad, f.before_rad, tuple(given), age_s, f.off_rad
-    )
+    speeds, given_rad = tuple(velocity_rad_s), tuple(given)
+    after = replace(f, wanted_rad=wanted, velocity_rad_s=speeds, side=side, given_rad=given_rad, age_s=age_s)
     return _whole_ticks(s, f, after), after
 
 
