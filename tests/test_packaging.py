@@ -1,6 +1,7 @@
 """What users get beside the wheel: the lock, the bill of materials, and the workflow that makes a release."""
 
 import importlib.util
+import json
 import re
 import tomllib
 from pathlib import Path
@@ -9,6 +10,8 @@ from types import ModuleType
 import yaml
 
 ROOT = Path(__file__).resolve().parent.parent
+LIBRARY = ROOT / "armctl" / "report" / "plotly.js"
+PAGE = ROOT / "tools" / "packaging" / "page"
 LOCK = (ROOT / "tools" / "packaging" / "lock.txt").read_text(encoding="utf-8")
 
 
@@ -19,6 +22,13 @@ def sbom() -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+def bundled() -> list[str]:
+    """Name and version of each package of which something is in a library of a page."""
+    lock = json.loads((PAGE / "package-lock.json").read_text())["packages"]
+    places = json.loads((PAGE / "bundled.json").read_text())
+    return [f"{place.rpartition('node_modules/')[2]} {lock[place]['version']}" for place in places]
 
 
 def plain(name: str) -> str:
@@ -46,11 +56,19 @@ def test_the_bill_of_materials_lists_the_lock() -> None:
     bill = sbom().bill("1.2.3", "abc", LOCK)
     assert (bill["bomFormat"], bill["specVersion"]) == ("CycloneDX", "1.5")
     refs = [part["bom-ref"] for part in bill["components"]]
-    assert len(set(refs)) == len(refs) == len(sbom().locked(LOCK)) + 2 > 15
-    assert {"pkg:npm/three@0.187.0", "pkg:npm/uplot@1.6.32"} <= set(refs)
+    assert len(set(refs)) == len(refs) == len(sbom().locked(LOCK)) + len(bundled()) > 35
+    direct = json.loads((PAGE / "package.json").read_text())["dependencies"]
+    assert {f"pkg:npm/{name}@{version}" for name, version in direct.items()} <= set(refs)
     assert bill["dependencies"][0]["dependsOn"] == sorted(refs)
     assert bill["metadata"]["component"]["properties"] == [{"name": "commit", "value": "abc"}]
     assert all(part["hashes"] for part in bill["components"])
+
+
+def test_the_library_of_reports_carries_the_licence_of_everything_in_it() -> None:
+    told = re.findall(r"^/\*! (\S+ [\d.]+), (\S+)\n(.+?)\n\*/$", LIBRARY.read_text(), re.MULTILINE | re.DOTALL)
+    of_the_dashboard = ("three", "uplot")
+    assert sorted(name for name, *_ in told) == [one for one in bundled() if not one.startswith(of_the_dashboard)]
+    assert {licence for _, licence, _ in told} <= {"MIT", "BSD-3-Clause", "Zlib"}
 
 
 def test_a_release_is_tested_attested_and_published_without_a_password() -> None:

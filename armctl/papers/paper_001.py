@@ -188,7 +188,7 @@ def _table_2(robot: Robot, ours: FloatArray, standard: FloatArray) -> Table:
 
 def _curves(better: Evolution, standard: Evolution) -> Figure:
     """Down to a tenth of the error that print ends with: what lies below would take most of a logarithmic axis."""
-    figure = axes("generation", "error of eq. (4)", drawn.HEIGHT, yaxis_type="log")
+    figure = axes("generation", "error of eq. (4)", drawn.HEIGHT, type="log", dtick=1, exponentformat="power")
     printed = list[float]()
     runs, lines = {"improved": better, "standard": standard}, (IMPROVED_XYZ_RPY, STANDARD_XYZ_RPY)
     for (name, run), line, colour in zip(runs.items(), lines, drawn.COLOURS[2::-2], strict=True):
@@ -197,5 +197,5 @@ def _curves(better: Evolution, standard: Evolution) -> Figure:
         squares = ((pose_from_xyz_rpy(*line)[:3] - WANTED[:3]) ** 2).sum(axis=0)
         printed.append(float(squares @ (1.0, 1.0, 1.0, POSITION_WEIGHT)))
         curve(figure, [1, len(run.best_cost)], printed[-1:] * 2, f"{name}, in Table 2", colour, dash="dash")
-    figure.update_yaxes(range=np.log10([printed[0] / 10.0, 100.0]), dtick=1, exponentformat="power")
+    figure.layout["yaxis"]["range"] = np.log10([printed[0] / 10.0, 100.0]).tolist()
     return figure

@@ -138,7 +138,7 @@ def _views(title: str, described: str, one: Experiment, runs: int | None = None)
         return figure
 
     def away() -> Figure:
-        figure = axes(ALONG, "distance from the line, mm", drawn.HEIGHT, yaxis_rangemode="tozero")
+        figure = axes(ALONG, "distance from the line, mm", drawn.HEIGHT, rangemode="tozero")
         mode = "lines+markers" if runs == 1 else "lines"
         for name, tool_m, colour in paths:
             distance_curve(figure, (A, B), tool_m, name, colour, width=4 if name == MEASURES[0] else 1.5, mode=mode)

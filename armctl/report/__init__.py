@@ -1,1 +1,1 @@
-"""Pages people look at: self-contained HTML, drawn with plotly."""
+"""Pages people look at: self-contained HTML, drawn with plotly.js."""

@@ -43,7 +43,7 @@ def _convergence(page: Page, report: line.ExperimentReport) -> None:
     page.heading("Convergence")
     description = "Mean distance from the line by round of correction"
     title = "Mean distance by round of correction (0: before any)"
-    with page.chart(description, title, "round", "mean distance, mm", yaxis_type="log") as chart:
+    with page.chart(description, title, "round", "mean distance, mm", type="log") as chart:
         for one, colour in zip(report.outcomes, line.COLOURS, strict=False):
             for label, dash, paths in (
                 ("true", "solid", [run.real_tool_m for run in one.rounds]),
@@ -62,7 +62,7 @@ def _prediction(page: Page, report: line.ExperimentReport) -> None:
     with page.chart("Predicted, measured and true mean distance", title, "", "mean distance, mm") as chart:
         names = [line.via_text(one.via) for one in report.outcomes]
         predicted = [one.runs[0].predicted_mean_mm for one in report.outcomes]
-        chart.add_bar(x=names, y=predicted, name="predicted", marker={"color": line.FAINT})
+        chart.add("bar", x=names, y=predicted, name="predicted", marker={"color": line.FAINT})
         for name, colour, paths in (
             ("by encoders", "#3a6ea5", [[run.tool_m for run in one.runs] for one in report.outcomes]),
             ("true", line.GREEN, [[run.real_tool_m for run in one.runs] for one in report.outcomes]),
@@ -70,7 +70,7 @@ def _prediction(page: Page, report: line.ExperimentReport) -> None:
             errors = [_mean_errors_mm(report, some) for some in paths]
             spread = {"type": "data", "array": [float(np.std(some)) for some in errors]}
             means = [float(np.mean(some)) for some in errors]
-            chart.add_bar(x=names, y=means, error_y=spread, name=name, marker={"color": colour})
+            chart.add("bar", x=names, y=means, error_y=spread, name=name, marker={"color": colour})
 
 
 def _mean_errors_mm(report: line.ExperimentReport, paths: Sequence[FloatArray]) -> list[float]:
@@ -86,9 +86,10 @@ def _limits(page: Page, report: line.ExperimentReport) -> None:
             for via, colour in zip(dict.fromkeys(row["via"] for row in report.limits), line.COLOURS, strict=False):
                 some = [row for row in report.limits if row["via"] == via]
                 names = ["all effects" if row["without"] is None else f"without {row['without']}" for row in some]
-                spread = {"type": "data", "array": [row["spread_mm"] for row in some]} if stage == "after_mm" else None
-                values, marker = [row[stage] for row in some], {"color": colour}
-                chart.add_bar(x=names, y=values, error_y=spread, name=line.via_text(via), marker=marker)
+                values, spreads = ([row[key] for row in some] for key in (stage, "spread_mm"))
+                spread = {"type": "data", "array": spreads, "visible": stage == "after_mm"}
+                marker = {"color": colour}
+                chart.add("bar", x=names, y=values, error_y=spread, name=line.via_text(via), marker=marker)
     page.table(
         ("via", "without", "before, mm", "after, mm", "whole ticks, mm", "zero offsets, mm"),
         [_limit(row) for row in report.limits],

@@ -13,7 +13,7 @@ from armctl.kinematics.chain import SerialChain, forward_kinematics, link_frames
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.kinematics.workspace import ReachabilityMap
-from armctl.report.page import CLOSE, Figure, Page, axes, in_space, plotly
+from armctl.report.page import CLOSE, Figure, Page, axes, in_space
 from armctl.report.page import curve as line
 from armctl.trajectory.quintic import Curves
 
@@ -94,7 +94,8 @@ def workspace(points_m: FloatArray, extent_m: FloatArray, view: str) -> Figure:
 def reachability(reach: ReachabilityMap) -> Figure:
     """The points of a grid that are in reach; the colour tells in how many ways."""
     shown = reach.points_m[reach.reachable] * 1e3
-    marker = {"size": 3, "color": reach.share[reach.reachable], "colorbar": {"title": "share"}, "opacity": 0.7}
+    scale = {"color": reach.share[reach.reachable], "colorbar": {"title": {"text": "share"}}}
+    marker = {"size": 3, "opacity": 0.7, **scale}
     return _seen([{**_along(shown, None), "mode": "markers", "marker": marker}], shown, None)
 
 
@@ -109,7 +110,7 @@ def curve(curves: Curves, title: str, first: int | None = None) -> Figure:
     chart = axes("time [s]", f"{title.lower()} [{unit}]", 320)
     for k, (column, name, colour) in enumerate(zip(values.T, names, COLOURS * 6, strict=False)):
         shown = True if first is None or k < first else "legendonly"
-        chart.add_scatter(x=curves.time_s, y=column, name=name, line={"color": colour}, visible=shown)
+        line(chart, curves.time_s, column, name, colour, visible=shown)
     return chart
 
 
@@ -171,10 +172,10 @@ def _along(points: FloatArray, plane: tuple[int, int] | None) -> dict[str, Any]:
 
 def _seen(lines: list[dict[str, Any]], points: FloatArray, plane: tuple[int, int] | None, unit: str = "mm") -> Figure:
     """A chart of lines around points [unit], shape (m, 3): in space, or flat with two axes to one scale."""
-    chart = plotly()(lines, layout={**CLOSE, "height": HEIGHT})
+    chart = Figure({**CLOSE, "height": HEIGHT}, lines)
     if plane is None:
         in_space(chart, points, unit)
         return chart
-    right, up = ({"title": f"{'xyz'[axis]} [{unit}]", "constrain": "domain"} for axis in plane)
-    chart.update_layout(xaxis=right, yaxis={**up, "scaleanchor": "x"})
+    right, up = ({"title": {"text": f"{'xyz'[axis]} [{unit}]"}, "constrain": "domain"} for axis in plane)
+    chart.layout |= {"xaxis": right, "yaxis": {**up, "scaleanchor": "x"}}
     return chart

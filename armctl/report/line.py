@@ -10,7 +10,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from armctl.kinematics.transform import FloatArray
-from armctl.report.page import Page, curve, in_space
+from armctl.report.page import Figure, Page, curve, in_space
 from armctl.trajectory.straightness import distance_to_line, errors_mm, own_chord_mm
 
 
@@ -263,7 +263,7 @@ def add_paths(page: Page, ends: Ends, shown: Sequence[Shown], candidates_m: Sequ
                 draw(plan.via_tool_m, f"{name} points", one.colour, mode="markers", marker=diamonds, showlegend=False)
 
 
-def _path_curve(chart: Any, ends: Ends, axis: int, tool_m: FloatArray, name: str, colour: str, **more: Any) -> None:
+def _path_curve(chart: Figure, ends: Ends, axis: int, tool_m: FloatArray, name: str, colour: str, **more: Any) -> None:
     view = along_and_off(tool_m, *ends)
     curve(chart, view[0], view[axis], name, colour, **more)
 
@@ -283,7 +283,7 @@ def add_deviations(page: Page, ends: Ends, shown: Sequence[Shown]) -> None:
                 distance_curve(chart, ends, first.tool_m, f"{one.name}, by encoders", one.colour, **more)
 
 
-def distance_curve(chart: Any, ends: Ends, tool_m: FloatArray, name: str, colour: str, **more: Any) -> None:
+def distance_curve(chart: Figure, ends: Ends, tool_m: FloatArray, name: str, colour: str, **more: Any) -> None:
     """Distance from the line AB along it."""
     distance_mm = distance_to_line(tool_m, *ends) * 1000.0
     curve(chart, along_and_off(tool_m, *ends)[0], distance_mm, name, colour, **more)
@@ -298,10 +298,12 @@ def add_generations(page: Page, costs_mm: dict[str, Sequence[float] | FloatArray
     with page.chart(description, "Genetic algorithm on the recordings", "generation", "mean distance, mm") as chart:
         for (name, cost_mm), colour in zip(costs_mm.items(), (GREEN, FAINT), strict=False):
             curve(chart, np.arange(len(cost_mm)), cost_mm, name, colour)
-        for name, mm in levels.items():
-            chart.add_hline(y=mm, line={"color": GREY, "dash": "dot"}, annotation_text=name)
+        across = {"type": "line", "xref": "x domain", "x0": 0, "x1": 1, "line": {"color": GREY, "dash": "dot"}}
+        chart.layout["shapes"] = [{**across, "y0": mm, "y1": mm} for mm in levels.values()]
+        end = {"xref": "x domain", "x": 1, "xanchor": "right", "yanchor": "bottom", "showarrow": False}
+        chart.layout["annotations"] = [{**end, "y": mm, "text": name} for name, mm in levels.items()]
         found = int(np.argmin(np.asarray(next(iter(costs_mm.values())))))
-        chart.update_xaxes(range=[0, max(SHOWN_GENERATIONS, found + found // 2)])
+        chart.layout["xaxis"]["range"] = [0, max(SHOWN_GENERATIONS, found + found // 2)]
 
 
 def _joint_figures(page: Page, shown: Sequence[Shown], joint_names: Sequence[str]) -> None:
@@ -318,13 +320,13 @@ def _joint_figures(page: Page, shown: Sequence[Shown], joint_names: Sequence[str
                     curve(chart, run.time_s, values[:, joint], label, colour, dash=dash, **group)
 
 
-def paths_in_space(chart: Any, ends: Ends, paths: Sequence[tuple[str, FloatArray, str]]) -> None:
+def paths_in_space(chart: Figure, ends: Ends, paths: Sequence[tuple[str, FloatArray, str]]) -> None:
     """Tool paths (name, points [m], colour) in space beside the line AB, all axes to one scale."""
     AB = np.stack(ends) * 1000.0
     x, y, z = AB.T
     style = {"line": {"color": GREY, "width": 6}, "marker": {"size": 4, "color": GREY}}
-    chart.add_scatter3d(x=x, y=y, z=z, mode="lines+markers", name="line AB", **style)
+    chart.add("scatter3d", x=x, y=y, z=z, mode="lines+markers", name="line AB", **style)
     for name, points, colour in paths:
         x, y, z = points.T * 1000.0
-        chart.add_scatter3d(x=x, y=y, z=z, mode="lines", name=name, line={"color": colour, "width": 4})
+        chart.add("scatter3d", x=x, y=y, z=z, mode="lines", name=name, line={"color": colour, "width": 4})
     in_space(chart, np.concatenate([AB, *(points * 1000.0 for _, points, _ in paths)]))

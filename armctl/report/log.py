@@ -184,12 +184,12 @@ def _state_figure(page: Page, log: Timeline) -> None:
                 drawn.setdefault((row, what.partition(":")[0]), []).append((begin_s, end_s - begin_s))
                 told.append((row, f"{begin_s:.1f} to {end_s:.1f}", what))
     description, title = "States and faults of the arm over time", "What the arm did"
-    with page.chart(description, title, "time, s", "", height=220) as chart:
+    order = {"categoryorder": "array", "categoryarray": ["fault", "state"]}
+    with page.chart(description, title, "time, s", "", height=220, **order) as chart:
         for (row, name), bars in drawn.items():
             base, x = zip(*bars, strict=True)
             colour = {"color": ABOUT["states"].get(name if row == "state" else row, COLOURS[-1])}
-            chart.add_bar(y=[row] * len(bars), base=base, x=x, orientation="h", name=name, marker=colour)
-        chart.update_yaxes(categoryorder="array", categoryarray=["fault", "state"])
+            chart.add("bar", y=[row] * len(bars), base=base, x=x, orientation="h", name=name, marker=colour)
     if faults := [cells for row, *cells in told if row == "fault"]:
         page.table(("time s", "fault"), faults[:EVENTS], words=True)
 
@@ -220,7 +220,7 @@ def _tool_figure(page: Page, *logs: Timeline) -> None:
     with page.chart("Path of the tool in space", "Tool path by the encoders", "", "", height=560) as chart:
         for log, points, colour in zip(logs, paths, (COLOURS[3], COLOURS[0]), strict=False):
             (x, y, z), line = points.T, {"color": colour} if len(logs) == 2 else by_time
-            chart.add_scatter3d(x=x, y=y, z=z, mode="lines", line=line, name=log.path.name)
+            chart.add("scatter3d", x=x, y=y, z=z, mode="lines", line=line, name=log.path.name)
         in_space(chart, np.concatenate(paths))
 
 

@@ -8,6 +8,16 @@
     const by = Math.min((w - 100) / across, (h - 80) / up) / (.517 * h);
     Plotly.relayout(chart, {"scene.aspectratio": {x: box.x * by, y: box.y * by, z: box.z * by}});
   };
+  // What paint does not set, and plotly.js would draw otherwise.
+  const flat = {automargin: true, title: {standoff: 15}, zerolinewidth: 2}, deep = {showbackground: true, gridwidth: 2, ticks: ""};
+  const plain = {colorbar: {outlinewidth: 0, ticks: ""}};
+  const template = {
+    layout: {title: {x: .05}, xaxis: flat, yaxis: flat, scene: {xaxis: deep, yaxis: deep, zaxis: deep}, autotypenumbers: "strict",
+      hoverlabel: {align: "left"}, colorway: ["#636efa", "#ef553b", "#00cc96", "#ab63fa"],
+      colorscale: {sequential: [[0, "#0d0887"], [.25, "#7e03a8"], [.5, "#cc4778"], [.75, "#f89540"], [1, "#f0f921"]]}},
+    data: {scatter3d: [{line: plain, marker: plain}], bar: [{error_y: {color: "#2a3f5f"}, marker: {line: {color: "white", width: .5}}}]},
+  };
+  const config = {displaylogo: false, responsive: true};
   const dark = matchMedia("(prefers-color-scheme: dark)");
   const paint = (charts = document.querySelectorAll(".js-plotly-plot")) => {
     const of = name => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
@@ -32,9 +42,9 @@
   const later = new IntersectionObserver(seen => seen.filter(one => one.isIntersecting).forEach(({target}) => {
     later.unobserve(target);
     if (!window.Plotly) document.head.append(Object.assign(document.createElement("script"), {text: library.text}));
-    const {data, layout, config} = JSON.parse(target.firstElementChild.textContent);
+    const {data, layout} = JSON.parse(target.firstElementChild.textContent);
     target.replaceChildren();
-    Plotly.newPlot(target, data, layout, config).then(chart => paint([chart]));
+    Plotly.newPlot(target, data, {template, ...layout}, config).then(chart => paint([chart]));
   }), {rootMargin: "300px"});
   document.querySelectorAll(".later").forEach(chart => later.observe(chart));
   dark.addEventListener("change", () => paint());

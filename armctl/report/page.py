@@ -1,23 +1,20 @@
-"""One HTML page of text, tables and plotly figures that opens without a network."""
+"""One HTML page of text, tables and charts that opens without a network."""
 
 from __future__ import annotations
 
 import html
+import json
+from base64 import b64encode
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
 from armctl.kinematics.transform import FloatArray
 from armctl.recording.disk import writing
-
-if TYPE_CHECKING:
-    import plotly.graph_objects as go
-
-# A chart; plotly itself is imported by `plotly`, when the first one is drawn.
-Figure: TypeAlias = "go.Figure"
 
 # Looks of a page.
 _STYLE = Path(__file__).with_name("page.css")
@@ -26,36 +23,39 @@ _ABOVE = {"orientation": "h", "y": 1.0, "yanchor": "bottom"}
 CLOSE: dict[str, Any] = {"margin": {"l": 60, "r": 15, "t": 30, "b": 50}, "legend": _ABOVE}
 # Seen as MATLAB's plots in space are: from the left, half from above.
 CAMERA = {"eye": {"x": -0.68, "y": -0.89, "z": 0.65}, "projection": {"type": "orthographic"}}
-# Charts are drawn light and wide; this gives them the page's colours, and a phone the legend below the curves.
-_CHART_COLOURS = Path(__file__).with_name("page.js")
-# Draws the few kinds of charts of a light page.
-_LIGHT_CHARTS = Path(__file__).with_name("plot.js")
+# Draws charts in the page's colours, and on a phone with the legend below the curves.
+_CHARTS = Path(__file__).with_name("page.js")
+# What it draws them with: plotly.js, of which tools/packaging/page makes a file; on a light page armctl's own.
+_PLOTLY, _LIGHT = (Path(__file__).with_name(name) for name in ("plotly.js", "plot.js"))
 
 
-def plotly() -> type[Figure]:
-    """plotly's Figure class, imported when the first picture is drawn: it takes a while."""
-    from plotly import graph_objects
+@dataclass
+class Figure:
+    """A chart: its layout and its traces as plotly.js takes them, except that columns may be arrays."""
 
-    figure: type[Figure] = graph_objects.Figure
-    return figure
+    layout: dict[str, Any]
+    data: list[dict[str, Any]] = field(default_factory=list)
+
+    def add(self, kind: str, **trace: Any) -> None:
+        """Add a trace of a kind that tools/packaging/page/plotly.entry.js names."""
+        self.data.append({"type": kind, **trace})
 
 
-def axes(x: str, y: str, height: int, **more: Any) -> Figure:
-    """A figure without curves, its axes named."""
-    figure = plotly()()
-    figure.update_layout(xaxis_title=x, yaxis_title=y, height=height, **CLOSE | more)
-    return figure
+def axes(x: str, y: str, height: int, **y_axis: Any) -> Figure:
+    """A figure without curves, its axes named; `y_axis` as plotly.js's `layout.yaxis`."""
+    named = {"xaxis": {"title": {"text": x}}, "yaxis": {"title": {"text": y}, **y_axis}}
+    return Figure({**named, "height": height, **CLOSE})
 
 
 def curve(
-    chart: Any, x: Any, y: Any, name: str, colour: str, *, width: float = 2, dash: str = "solid", **more: Any
+    chart: Figure, x: Any, y: Any, name: str, colour: str, *, width: float = 2, dash: str = "solid", **more: Any
 ) -> None:
-    """Add a line to a chart; `more` as plotly's `add_scatter`, among it `mode`."""
+    """Add a line to a chart; `more` as plotly.js's `scatter`, among it `mode`."""
     style = {"color": colour, "width": width, "dash": dash}
-    chart.add_scatter(**{"mode": "lines", "x": x, "y": y, "name": name, "line": style} | more)
+    chart.add("scatter", **{"mode": "lines", "x": x, "y": y, "name": name, "line": style} | more)
 
 
-def in_space(chart: Any, points: FloatArray, unit: str = "mm") -> None:
+def in_space(chart: Figure, points: FloatArray, unit: str = "mm") -> None:
     """Axes of a chart in space, all to one scale, close around points [unit], shape (m, 3).
 
     The box is as large as the chart allows, whatever its shape; no side is less than a third of the longest.
@@ -68,7 +68,7 @@ def in_space(chart: Any, points: FloatArray, unit: str = "mm") -> None:
         for axis, middle, half in zip("xyz", (low + size / 2.0).tolist(), (side / 2.0).tolist(), strict=True)
     }
     scene = {"aspectmode": "manual", "aspectratio": ratio, "camera": CAMERA, **axes}
-    chart.update_layout(scene=scene, margin_l=0, margin_r=0, margin_b=0)
+    chart.layout |= {"scene": scene, "margin": {**chart.layout["margin"], "l": 0, "r": 0, "b": 0}}
 
 
 class Marked(str):
@@ -85,7 +85,7 @@ class Marked(str):
 class Page:
     """Collects blocks in order and writes them as one file; one with chapters begins with a list of its contents.
 
-    The charts of a `light` one are drawn by a script of armctl's own instead of plotly's 4.8 MB.
+    The charts of a `light` one are drawn by a script of armctl's own instead of plotly.js's 1.7 MB.
     """
 
     def __init__(self, title: str, *, light: bool = False) -> None:
@@ -131,16 +131,15 @@ class Page:
         self._blocks.append(f'<div class="wide"><table{kind}>{head}<tbody>{body}</tbody></table></div>{note}')
 
     @contextmanager
-    def chart(self, description: str, title: str, x: str, y: str, height: int = 420, **more: Any) -> Iterator[Any]:
+    def chart(self, description: str, title: str, x: str, y: str, height: int = 420, **y_axis: Any) -> Iterator[Figure]:
         """An empty chart with a title and axes, for the caller to draw on; it is added to the page afterwards.
 
         Args:
-            more: As plotly's `update_layout`.
+            y_axis: As plotly.js's `layout.yaxis`.
         """
-        chart = plotly()()
-        usual = {"margin": {"l": 60, "r": 20, "t": 50, "b": 50}, "legend": {"font": {"size": 11}}}
-        labels = {"title": title, "xaxis_title": x, "yaxis_title": y}
-        chart.update_layout(template=None if self._light else "plotly_white", height=height, **labels, **usual | more)
+        chart = axes(x, y, height, **y_axis)
+        around = {"margin": {"l": 60, "r": 20, "t": 50, "b": 50}, "legend": {"font": {"size": 11}}}
+        chart.layout |= {"title": {"text": title}, **around}
         yield chart
         self.figure(chart, description)
 
@@ -152,18 +151,20 @@ class Page:
         self._blocks.append("</div>")
 
     def figure(self, figure: Figure, description: str, caption: str = "") -> None:
-        """Add a plotly figure; `description` says in words what it shows."""
-        from plotly.offline import get_plotlyjs
-
+        """Add a chart; `description` says in words what it shows."""
         # `page.js` draws it; the first one brings the library along, which runs when a chart is drawn.
-        drawing = _LIGHT_CHARTS.read_text(encoding="utf-8") if self._light else get_plotlyjs()
-        library = "" if self._has_script else f'<script type="text/plain" id="plotly">{drawing}</script>'
-        self._has_script = True
+        library = ""
+        if not self._has_script:
+            drawing = (_LIGHT if self._light else _PLOTLY).read_text(encoding="utf-8")
+            library, self._has_script = f'<script type="text/plain" id="plotly">{drawing}</script>', True
         label = html.escape(description, quote=True)
-        data = f'{{"config":{{"displaylogo":false,"responsive":true}},{figure.to_json()[1:]}'.replace("<", "\\u003c")
-        height = figure.layout.height or 450
+        data = json.dumps({"data": figure.data, "layout": figure.layout}, default=_column)
+        # Once more, for NaN is no JSON.
+        data = json.dumps(json.loads(data, parse_constant=lambda _: None), separators=(",", ":")).replace(
+            "<", "\\u003c"
+        )
         script = f'<script type="application/json">{data}</script>'
-        chart = f'{library}<div class="later" style="height:{height}px">{script}</div>{caption}'
+        chart = f'{library}<div class="later" style="height:{figure.layout["height"]}px">{script}</div>{caption}'
         self._blocks.append(f'<figure role="img" aria-label="{label}" style="margin:0">{chart}</figure>')
 
     def _list_of_contents(self) -> str:
@@ -176,7 +177,7 @@ class Page:
 
     def html(self) -> str:
         """The whole page."""
-        script = f"<script>\n{_CHART_COLOURS.read_text(encoding='utf-8')}</script>" if self._has_script else ""
+        script = f"<script>\n{_CHARTS.read_text(encoding='utf-8')}</script>" if self._has_script else ""
         style = _STYLE.read_text(encoding="utf-8")
         return (
             f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{html.escape(self._title)}</title>'
@@ -192,3 +193,10 @@ class Page:
         """
         with writing(path):
             path.write_text(self.html(), encoding="utf-8")
+
+
+def _column(values: Any) -> Any:
+    """An array or a number of numpy's as plotly.js takes it: of an array of floats its bytes."""
+    if values.ndim and values.dtype.kind == "f":
+        return {"dtype": f"f{values.itemsize}", "bdata": b64encode(values.tobytes()).decode()}
+    return values.tolist()

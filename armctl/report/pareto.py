@@ -32,14 +32,12 @@ def add_fronts(page: Page, rows: Sequence[dict[str, Any]]) -> None:
     judge = "true distance, simulated arms after correction" if truth else "predicted distance, perfect servos"
     page.heading("Error against time and against via points")
     page.text(f"Judged by: {judge}. A ring marks the front: no other point is as good in both and better in one.")
-    axes: dict[str, Any]
     for axis, by, front, title in (
         ("duration_s", "via", "front_duration", "duration, s"),
         ("via", "duration_s", "front_via", "via points"),
     ):
         heading = f"Mean distance from the line against {title}"
-        axes = {"x": title, "y": "mean distance, mm", "yaxis_type": "log", "legend": None}
-        with page.chart(f"{heading}, the front marked", heading, **axes) as chart:
+        with page.chart(f"{heading}, the front marked", heading, title, "mean distance, mm", type="log") as chart:
             for value, colour in zip(dict.fromkeys(row[by] for row in rows), cycle(_COLOURS), strict=False):
                 some = [row for row in rows if row[by] == value and error(row) is not None]
                 name = f"{value} via points" if by == "via" else f"{value:g} s"

@@ -1,8 +1,8 @@
-// Draws the charts of a log's page: lines, bars over time, and a path in space. It takes what plotly's Python package
-// says of a figure, and is a five-hundredth of plotly's library.
+// Draws the charts of a log's page: lines, bars over time, and a path in space. It takes figures as plotly.js takes them,
+// and is a hundredth of its size.
 // Drag across a chart: zoom, in all charts over time at once. Twice: all of it again. A name in the legend: shown or not.
 window.Plotly = (() => {
-  const KINDS = {f4: Float32Array, f8: Float64Array, i1: Int8Array, i2: Int16Array, i4: Int32Array, u1: Uint8Array};
+  const KINDS = {f4: Float32Array, f8: Float64Array};
   const VIRIDIS = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
   const DASHES = {dot: [1.5, 3], dash: [7, 4]};
   const LEFT = 64, RIGHT = 12, TOP = 8, BOTTOM = 36;

@@ -21,7 +21,7 @@ from armctl.kinematics.robots.robot import Robot
 from armctl.recording import channels, timeline
 from armctl.recording.reader import read
 from armctl.report.kinematics import COLOURS, in_mm
-from armctl.report.page import Figure, Page, axes
+from armctl.report.page import Figure, Page, axes, curve
 from armctl.trajectory.quintic import Curves, curves
 from armctl.trajectory.smoothing import local_cubics
 from armctl.trajectory.transfer import NOTED, TransferRequest, motion
@@ -81,8 +81,7 @@ def draw(transfer: Transfer, title: str) -> Figure:
     for letter, colour, axis in zip("xyz", COLOURS, range(3), strict=False):
         for who, name, dash in ((transfer.model, "model", "dash"), (transfer.recorded, "recorded", "solid")):
             values, _ = in_mm(getattr(who, field)[:, axis], unit)
-            line = {"color": colour, "width": 1.6, "dash": dash}
-            chart.add_scatter(x=who.time_s, y=values, name=f"{letter}, {name}", line=line)
+            curve(chart, who.time_s, values, f"{letter}, {name}", colour, width=1.6, dash=dash)
     return chart
 
 

@@ -113,31 +113,32 @@ def test_003_figures_show_what_print_shows_in_its_units() -> None:
     for picture in paper_003.reproduce(QUICK, 0, silent).pictures:
         drawn.setdefault(picture.title.partition(":")[0], []).append(picture.draw())
     assert [len(drawn[f"Fig. {number}"]) for number in (4, 5, 6, 7, 8)] == [4, 2, 1, 1, 3]
-    assert all([trace.visible for trace in chart.data] == [True, *["legendonly"] * 3] for chart in drawn["Fig. 8"])
+    assert all([trace["visible"] for trace in chart.data] == [True, *["legendonly"] * 3] for chart in drawn["Fig. 8"])
     arm, flat = drawn["Fig. 5"]
-    assert (arm.data[0].x[-1], arm.data[0].z[-1]) == pytest.approx((219.0, 97.0))
-    assert flat.layout.xaxis.title.text == "x [mm]"
+    assert (arm.data[0]["x"][-1], arm.data[0]["z"][-1]) == pytest.approx((219.0, 97.0))
+    assert flat.layout["xaxis"]["title"]["text"] == "x [mm]"
     # Axes to one scale that end where the data do.
-    assert (flat.layout.yaxis.scaleanchor, flat.layout.xaxis.constrain) == ("x", "domain")
+    assert (flat.layout["yaxis"]["scaleanchor"], flat.layout["xaxis"]["constrain"]) == ("x", "domain")
     for chart in (arm, *drawn["Fig. 6"]):
-        ratio = chart.layout.scene.aspectratio
-        scales = [np.ptp(chart.layout.scene[f"{axis}axis"].range) / ratio[axis] for axis in "xyz"]
+        ratio = chart.layout["scene"]["aspectratio"]
+        scales = [np.ptp(chart.layout["scene"][f"{axis}axis"]["range"]) / ratio[axis] for axis in "xyz"]
         assert scales == pytest.approx([scales[0]] * 3)
         for axis in "xyz":
-            low, high = chart.layout.scene[f"{axis}axis"].range
+            low, high = chart.layout["scene"][f"{axis}axis"]["range"]
             assert all(low <= value <= high for trace in chart.data for value in trace[axis])
 
 
 def test_001_no_decade_of_the_iteration_curve_lies_below_a_tenth_of_what_print_reaches() -> None:
     (chart,) = (one.draw() for one in paper_001.reproduce(QUICK, 0, silent).pictures if "Fig. 1" in one.title)
-    lines = {trace.name: trace.y[0] for trace in chart.data if "Table 2" in trace.name}
-    assert chart.layout.yaxis.range[0] == pytest.approx(np.log10(lines["improved, in Table 2"]) - 1.0)
+    lines = {trace["name"]: trace["y"][0] for trace in chart.data if "Table 2" in trace["name"]}
+    assert chart.layout["yaxis"]["range"][0] == pytest.approx(np.log10(lines["improved, in Table 2"]) - 1.0)
     assert lines["improved, in Table 2"] < lines["standard, in Table 2"]
 
 
 def test_001_figures_2_and_3_show_the_pose_of_the_hand_as_their_captions_say() -> None:
     wanted = next(one for one in paper_001.reproduce(QUICK, 0, silent).pictures if one.description == "Fig. 2: wanted")
-    axes = {trace.name: np.array([trace.x, trace.y, trace.z]) for trace in wanted.draw().data if trace.name in "noa"}
+    drawn = {trace["name"]: trace for trace in wanted.draw().data}
+    axes = {name: np.array([drawn[name][axis] for axis in "xyz"]) for name in "noa"}
     turns = np.stack([np.diff(axes[name], axis=1)[:, 0] / 150.0 for name in "noa"], axis=1)
     np.testing.assert_allclose(turns, paper_001.WANTED[:3, :3], atol=1e-9)
     np.testing.assert_allclose(axes["n"][:, 0] / 1e3, paper_001.WANTED[:3, 3], atol=1e-9)
@@ -153,7 +154,7 @@ def test_003_poses_come_back_exactly_with_two_branches() -> None:
 def test_004_kinematics_hold_the_printed_start_does_not_and_the_cycle_is_drawn() -> None:
     report = paper_004.reproduce(QUICK, 0, silent)
     chart = next(picture for picture in report.pictures if picture.title.startswith("Fig. 3")).draw()
-    assert len(chart.data[0].x) == len(paper_004.simulated_cycle(TRANSFER).time_s)
+    assert len(chart.data[0]["x"]) == len(paper_004.simulated_cycle(TRANSFER).time_s)
     found = verdicts(report)
     assert found["Jacobian by eq. (8) against central differences"] == "equal"
     assert found["20 poses through IK and back, every branch: greatest error"] == "equal"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import Locator, sync_playwright
 
-from armctl.report.page import CLOSE, Page, in_space, plotly
+from armctl.report.page import CLOSE, Figure, Page, in_space
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 SOFTWARE = ("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
@@ -44,11 +44,11 @@ def test_a_chart_in_space_fills_its_place_and_no_label_is_cut_off(
 ) -> None:
     page = Page("Shapes")
     for name, sides in SHAPES.items():
-        chart = plotly()(layout={**CLOSE, "height": 440, "showlegend": False})
+        figure = Figure({**CLOSE, "height": 440, "showlegend": False})
         x, y, z = ends = np.array([-0.5, 0.5]) * np.array(sides)[:, None]
-        chart.add_scatter3d(x=x, y=y, z=z, mode="lines+markers", line={"width": 6})
-        in_space(chart, ends.T)
-        page.figures([(chart, name)])
+        figure.add("scatter3d", x=x, y=y, z=z, mode="lines+markers", line={"width": 6})
+        in_space(figure, ends.T)
+        page.figures([(figure, name)])
     page.write(tmp_path / "page.html")
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE)

@@ -1,5 +1,6 @@
 """The straight-line page: complete in itself, its numbers those of the paths it is given."""
 
+import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -53,13 +54,14 @@ def test_plain_corrected_and_refined_paths_stand_in_one_picture_in_the_colour_of
 ) -> None:
     write(REPORT, tmp_path / "line.html")
     html = (tmp_path / "line.html").read_text()
+    charts = re.findall(r'<script type="application/json">(.*?)</script>', html)
+    drawn = [trace for chart in charts for trace in json.loads(chart)["data"]]
     colours = dict(zip((0, 2), COLOURS, strict=False))
     for how, dash, some in (("plain", "dot", (0, 2)), ("corrected", "dash", (0, 2)), ("refined", "solid", (2,))):
         assert f"<td>{how}</td>" in html
         for via in some:
-            colour = colours[via]
-            stroke = rf'"line":{{"color":"{colour}","dash":"{dash}","width":[0-9.]+}}'
-            assert len(re.findall(rf'{stroke}[^}}]*"name":"{via} via, {how}, true"', html)) == 3
+            strokes = [trace["line"] for trace in drawn if trace["name"] == f"{via} via, {how}, true"]
+            assert [(line["color"], line["dash"]) for line in strokes] == [(colours[via], dash)] * 3
 
 
 def test_the_genetic_algorithm_is_drawn_as_far_as_it_improves_from_the_best_take_down_to_the_exact_optimum(

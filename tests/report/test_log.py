@@ -39,7 +39,7 @@ def text(log: Timeline, folder: Path, **checked: Any) -> str:
     return (folder / "log.html").read_text()
 
 
-def without_plotly(html: str) -> str:
+def without_library(html: str) -> str:
     """The page without the library in it."""
     scripts = re.findall(r"<script.*?</script>", html, re.DOTALL)
     return html.replace(max(scripts, key=len), "")
@@ -171,7 +171,7 @@ def test_text_from_the_log_is_never_markup(log: Timeline, tmp_path: Path) -> Non
     motions = tuple(replace(motion, label=evil) for motion in log.motions)
     happenings = (Happening(log.start_ns, 20, "X", evil),)
     hostile = replace(log, motions=motions, happenings=happenings, faults=((0, f"{evil}: x"),), states=((0, evil),))
-    html = without_plotly(text(hostile, tmp_path))
+    html = without_library(text(hostile, tmp_path))
     assert missing(html, "alert(1)", "<script>alert", "<img") == ["<script>alert", "<img"]
 
 

@@ -80,7 +80,9 @@ def test_figures_3_to_7_each_show_three_axes_recorded_and_by_the_model(done: Tra
     drawn = {title: report.draw(done, title) for title in TITLES}
     assert [caption.split(":")[0] for caption in drawn] == [number for number, *_ in QUANTITIES]
     for chart in drawn.values():
-        assert [trace.name for trace in chart.data] == [f"{a}, {who}" for a in "xyz" for who in ("model", "recorded")]
+        assert [trace["name"] for trace in chart.data] == [
+            f"{a}, {who}" for a in "xyz" for who in ("model", "recorded")
+        ]
 
 
 def test_the_page_names_stations_lengths_and_how_the_curves_were_derived(done: Transfer, tmp_path: Path) -> None:

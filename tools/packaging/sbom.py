@@ -1,7 +1,7 @@
 """What a release is made of, as a CycloneDX 1.5 document: `python tools/packaging/sbom.py VERSION [COMMIT]` prints it.
 
 Read from lock.txt beside this file, each package with its version and the SHA-256 of its files, and from page/, what is
-bundled for the dashboard.
+bundled for the dashboard and the reports.
 """
 
 import json
@@ -31,20 +31,18 @@ def locked(text: str) -> dict[str, tuple[str, list[str]]]:
 
 
 def bundled() -> list[dict[str, Any]]:
-    """What the dashboard's own files have in them."""
-    wanted = json.loads((PAGE / "package.json").read_text(encoding="utf-8"))["dependencies"]
+    """What the libraries that pages bring along have in them."""
     lock = json.loads((PAGE / "package-lock.json").read_text(encoding="utf-8"))["packages"]
-    return [
-        {
-            "type": "library",
-            "name": name,
-            "version": release,
-            "purl": f"pkg:npm/{name}@{release}",
-            "bom-ref": f"pkg:npm/{name}@{release}",
-            "hashes": [{"alg": "SHA-512", "content": b64decode(lock[f"node_modules/{name}"]["integrity"][7:]).hex()}],
-        }
-        for name, release in sorted(wanted.items())
-    ]
+    parts = []
+    for place in json.loads((PAGE / "bundled.json").read_text(encoding="utf-8")):
+        name, release = place.rpartition("node_modules/")[2], lock[place]["version"]
+        ref = f"pkg:npm/{name.replace('@', '%40')}@{release}"
+        digest = b64decode(lock[place]["integrity"][7:]).hex()
+        hashes = [{"alg": "SHA-512", "content": digest}]
+        parts.append(
+            {"type": "library", "name": name, "version": release, "purl": ref, "bom-ref": ref, "hashes": hashes}
+        )
+    return parts
 
 
 def bill(version: str, commit: str, text: str) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-// What scene.js uses of three.js; `npm ci && npm run build`, typed here, makes armctl/web/static/three.js of it.
+// What scene.js uses of three.js; build.js makes armctl/web/static/three.js of it.
 export {
   Box3, BoxGeometry, BufferGeometry, CapsuleGeometry, CylinderGeometry, DirectionalLight, GridHelper, Group, HemisphereLight,
   Line, LineBasicMaterial, LineDashedMaterial, Matrix4, Mesh, MeshBasicMaterial, MeshLambertMaterial, Object3D,
