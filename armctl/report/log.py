@@ -216,7 +216,7 @@ def _tool_figure(page: Page, *logs: Timeline) -> None:
     # Evenly in time: a path has no extremes of one axis that would stand for the others.
     rows = [one[drawn(len(one), POINTS)] for one in known]
     paths = [(log.tool[some, :3] * 1000.0).astype(np.float32) for log, some in zip(logs, rows, strict=True)]
-    by_time = {"color": logs[0].time_s[rows[0]].astype(np.float32), "colorbar": {"title": "time, s"}}
+    by_time = {"color": logs[0].time_s[rows[0]].astype(np.float32), "colorbar": {"title": {"text": "time, s"}}}
     with page.chart("Path of the tool in space", "Tool path by the encoders", "", "", height=560) as chart:
         for log, points, colour in zip(logs, paths, (COLOURS[3], COLOURS[0]), strict=False):
             (x, y, z), line = points.T, {"color": colour} if len(logs) == 2 else by_time

@@ -229,6 +229,7 @@ def test_every_chart_is_drawn_and_a_stretch_of_time_is_chosen_in_all_of_them(log
             charts.nth(number).scroll_into_view_if_needed()
             charts.nth(number).locator("canvas").wait_for()
         assert charts.count() == html.count("<figure")
+        assert shown.get_by_text("time, s: 0", exact=False).count() == 1  # what the path's colours mean
         assert shown.evaluate("document.documentElement.scrollWidth") == 390
         canvas = charts.nth(1).locator("canvas")
         canvas.drag_to(canvas, source_position={"x": 120, "y": 60}, target_position={"x": 240, "y": 60})
