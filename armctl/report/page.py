@@ -158,11 +158,9 @@ class Page:
             drawing = (_LIGHT if self._light else _PLOTLY).read_text(encoding="utf-8")
             library, self._has_script = f'<script type="text/plain" id="plotly">{drawing}</script>', True
         label = html.escape(description, quote=True)
-        data = json.dumps({"data": figure.data, "layout": figure.layout}, default=_column)
-        # Once more, for NaN is no JSON.
-        data = json.dumps(json.loads(data, parse_constant=lambda _: None), separators=(",", ":")).replace(
-            "<", "\\u003c"
-        )
+        # Twice, for NaN is no JSON.
+        known = json.loads(json.dumps(vars(figure), default=_column), parse_constant=lambda _: None)
+        data = json.dumps(known, separators=(",", ":")).replace("<", "\\u003c")
         script = f'<script type="application/json">{data}</script>'
         chart = f'{library}<div class="later" style="height:{figure.layout["height"]}px">{script}</div>{caption}'
         self._blocks.append(f'<figure role="img" aria-label="{label}" style="margin:0">{chart}</figure>')
