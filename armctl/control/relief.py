@@ -19,14 +19,12 @@ Rules.
 import math
 from dataclasses import replace
 
-import numpy as np
-
 from armctl.control.enforce import holds, stay
 from armctl.control.machine import Look
 from armctl.control.tick import Tick
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.servos import MODELS
-from armctl.kinematics.chain import joint_axes
+from armctl.kinematics.chain import frames_of_one
 
 PUSH_RAD = math.radians(3.0)
 PUSH_RATIO = 0.3
@@ -165,17 +163,18 @@ def _holding_Nm(s: Tick) -> list[tuple[float, float]]:
     g sum(m z x r) along z of the base, each m as light or heavy as it may be.
     """
     chain = s.robot.chain
-    axes, tool = joint_axes(chain, np.array([[joint.position_rad for joint in s.joints[: chain.n]]]))
-    points = [(float(P[0, 0]), float(P[1, 0]), *SERVO_KG) for _, P in axes]
+    frames = frames_of_one(chain, [joint.position_rad for joint in s.joints[: chain.n]])
+    turning, (*_, tool) = chain.turning(frames), frames[-1]
+    points = [(*P[:2], *SERVO_KG) for _, _, _, P in turning]
     # Servos of a wrist roll or a gripper sit anywhere from the last axis to the tool.
     beyond_kg = (len(s.wire) - chain.n) * SERVO_KG[1]
     points.append((*points[-1][:2], 0.0, beyond_kg))
-    points.append((float(tool[0, 0]), float(tool[1, 0]), TOOL_KG[0], TOOL_KG[1] + beyond_kg))
+    points.append((*tool[:2], TOOL_KG[0], TOOL_KG[1] + beyond_kg))
     found = []
-    for i, (z, P) in enumerate(axes):
+    for i, (_, _, z, P) in enumerate(turning):
         low = high = 0.0
         for x, y, light_kg, heavy_kg in points[i + 1 :]:
-            Nm_kg = GRAVITY_M_S2 * (float(z[0, 0]) * (y - float(P[1, 0])) - float(z[1, 0]) * (x - float(P[0, 0])))
+            Nm_kg = GRAVITY_M_S2 * (z[0] * (y - P[1]) - z[1] * (x - P[0]))
             low += Nm_kg * (light_kg if Nm_kg > 0.0 else heavy_kg)
             high += Nm_kg * (heavy_kg if Nm_kg > 0.0 else light_kg)
         found.append((min(low, 0.0), max(high, 0.0)))

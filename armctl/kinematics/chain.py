@@ -3,16 +3,16 @@
 Standard:  A_i = Rz(theta_i) Tz(d_i) Tx(a_i) Rx(alpha_i)
 Modified:  A_i = Rx(alpha_{i-1}) Tx(a_{i-1}) Rz(theta_i) Tz(d_i)
 
-with theta_i = q_i + offset_i. A frame is four columns, axes X, Y, Z and origin P, each with the poses side by side
-(shape (3, m)): turning about z mixes X and Y, twisting about x mixes Y and Z, and what a table has as zero is left
-out. Products are written out elementwise (no BLAS) and summed in a fixed order, with sines of our own, so that the
-same input gives the same bits for one pose and for a batch, here and on another machine.
+with theta_i = q_i + offset_i. A frame is four columns, axes X, Y, Z and origin P, of three numbers each: turning about
+z mixes X and Y, twisting about x mixes Y and Z, and what a table has as zero is left out. A number is a float or, of m
+poses side by side, an array of shape (m,). Products are written out (no BLAS) and summed in a fixed order, with sines
+of our own, so that the same input gives the same bits for one pose and for a batch, here and on another machine.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -24,9 +24,10 @@ BLOCK = 2048
 # Cosine and sine of 0, 90, 180 and 270 deg.
 QUARTER_TURNS = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))
 
-# X, Y, Z and P of one frame, shape (3, m); (3, 1) while every pose has the same.
-Columns = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
-Axis = tuple[float, float, float]
+# Three numbers, see above, and X, Y, Z and P of one frame.
+Column = tuple[Any, Any, Any]
+Frame = tuple[Column, Column, Column, Column]
+BASE: Frame = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0))
 
 
 @dataclass(frozen=True)
@@ -78,10 +79,9 @@ class SerialChain:
         """The frame whose z is the first joint's axis: of joint i it is frame i - 1 (standard) or i (modified)."""
         return 0 if self.convention == "standard" else 1
 
-    @cached_property
-    def _offsets(self) -> FloatArray:
-        """Shape (n, 1)."""
-        return np.array([[row.offset] for row in self.rows])
+    def turning(self, frames: Sequence[Any]) -> Sequence[Any]:
+        """Of all frames those about whose z the joints turn."""
+        return frames[self.first_axis : self.first_axis + self.n]
 
 
 def _exact_cos_sin(angle: float) -> tuple[float, float]:
@@ -108,14 +108,11 @@ def link_frames(chain: SerialChain, q: FloatArray) -> FloatArray:
         ValueError: the last axis of q is not n.
     """
     flat = _flat(chain, q)
-    count = chain.n + 1 + chain.has_tool
-    T = np.zeros((len(flat), count, 4, 4))
-    T[:, :, 3, 3] = 1.0
-    T[:, 0, :, :] = np.eye(4)
+    T = _transforms(len(flat), chain.n + 1 + chain.has_tool)
     for block in blocks(len(flat)):
-        for i, columns in enumerate(_frames(chain, flat[block])):
-            _write(T[block, i + 1], columns)
-    return T.reshape(*np.shape(q)[:-1], count, 4, 4)
+        for i, frame in enumerate(_frames(chain, flat[block])):
+            _write(T[block, i], frame)
+    return T.reshape(*np.shape(q)[:-1], *T.shape[1:])
 
 
 def forward_kinematics(chain: SerialChain, q: FloatArray) -> FloatArray:
@@ -131,32 +128,35 @@ def forward_kinematics(chain: SerialChain, q: FloatArray) -> FloatArray:
         ValueError: the last axis of q is not n.
     """
     flat = _flat(chain, q)
-    T = np.empty((len(flat), 4, 4))
-    T[:, 3, :] = (0.0, 0.0, 0.0, 1.0)
+    T = _transforms(len(flat))
     for block in blocks(len(flat)):
         *_, tool = _frames(chain, flat[block])
         _write(T[block], tool)
     return T.reshape(*np.shape(q)[:-1], 4, 4)
 
 
-def tool_pose(chain: SerialChain, q: Sequence[float]) -> tuple[Axis, Axis, Axis, Axis]:
+def tool_pose(chain: SerialChain, q: Sequence[float]) -> Frame:
     """Columns X, Y, Z and P of the tool frame of one configuration, in plain floats.
 
     Args:
         q: Joint positions [rad], n of them.
     """
-    return _frames_of_one(chain, q)[-1]
+    return frames_of_one(chain, q)[-1]
+
+
+def frames_of_one(chain: SerialChain, q: Sequence[float]) -> list[Frame]:
+    """As `link_frames`, of one configuration, in plain floats: numpy's calls would take most of the time."""
+    return list(_product(chain, [cos_sin(angle + row.offset) for row, angle in zip(chain.rows, q, strict=True)]))
 
 
 def tool_position(chain: SerialChain, q: FloatArray) -> FloatArray:
     """Tool point in the base frame [m], shape (..., 3), of joint positions q [rad], shape (..., n)."""
     flat = _flat(chain, q)
-    if len(flat) == 1:
-        return np.array(_frames_of_one(chain, flat[0].tolist())[-1][3]).reshape(*np.shape(q)[:-1], 3)
     points = np.empty((len(flat), 3))
     for block in blocks(len(flat)):
         *_, (_, _, _, P) = _frames(chain, flat[block])
-        points[block] = P.T
+        for i, number in enumerate(P):
+            points[block, i] = number
     return points.reshape(*np.shape(q)[:-1], 3)
 
 
@@ -172,14 +172,24 @@ def jacobian(chain: SerialChain, q: FloatArray) -> FloatArray:
     """
     flat = _flat(chain, q)
     if len(flat) == 1:
-        return np.array(_jacobian_of_one(chain, flat[0].tolist())).reshape(*np.shape(q)[:-1], 6, chain.n)
+        return np.array(list(zip(*_twists(chain, flat), strict=True))).reshape(*np.shape(q)[:-1], 6, chain.n)
     J = np.empty((len(flat), 6, chain.n))
     for block in blocks(len(flat)):
-        axes, tool = joint_axes(chain, flat[block])
-        for i, (z, origin) in enumerate(axes):
-            J[block, :3, i] = cross(z, tool - origin).T
-            J[block, 3:, i] = z.T
+        for i, twist in enumerate(_twists(chain, flat[block])):
+            for k, number in enumerate(twist):
+                J[block, k, i] = number
     return J.reshape(*np.shape(q)[:-1], 6, chain.n)
+
+
+def _twists(chain: SerialChain, q: FloatArray) -> list[tuple[Any, ...]]:
+    """The columns of the Jacobian, of six numbers each."""
+    frames = list(_frames(chain, q))
+    t0, t1, t2 = frames[-1][3]
+    found = []
+    for _, _, (z0, z1, z2), (p0, p1, p2) in chain.turning(frames):
+        v0, v1, v2 = t0 - p0, t1 - p1, t2 - p2
+        found.append((z1 * v2 - z2 * v1, z2 * v0 - z0 * v2, z0 * v1 - z1 * v0, z0, z1, z2))
+    return found
 
 
 def joint_axes(chain: SerialChain, q: FloatArray) -> tuple[list[tuple[FloatArray, FloatArray]], FloatArray]:
@@ -188,26 +198,19 @@ def joint_axes(chain: SerialChain, q: FloatArray) -> tuple[list[tuple[FloatArray
     Args:
         q: Joint positions [rad], shape (m, n).
     Returns:
-        n pairs (direction, origin [m]) and the tool point [m], each of shape (3, m) or, where all are equal, (3, 1).
+        n pairs (direction, origin [m]) and the tool point [m], each of shape (3, m).
     """
-    frames = [_BASE, *_frames(chain, q)]
-    return [(Z, P) for _, _, Z, P in frames[chain.first_axis : chain.first_axis + chain.n]], frames[-1][3]
+    frames = list(_frames(chain, q))
+    filled = np.empty((len(frames), 2, 3, len(q)))
+    for into, frame in zip(filled, frames, strict=True):
+        for rows, column in zip(into, frame[2:], strict=True):
+            rows[0], rows[1], rows[2] = column
+    return [(Z, P) for Z, P in chain.turning(list(filled))], filled[-1, 1]
 
 
 def cross(u: FloatArray, v: FloatArray) -> FloatArray:
     """Vector product of columns, shape (3, m); either may be (3, 1)."""
     return np.stack((u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]))
-
-
-_BASE: Columns = (
-    np.array([[1.0], [0.0], [0.0]]),
-    np.array([[0.0], [1.0], [0.0]]),
-    np.array([[0.0], [0.0], [1.0]]),
-    np.zeros((3, 1)),
-)
-
-
-_BASE_OF_ONE = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0))
 
 
 def _flat(chain: SerialChain, q: FloatArray) -> FloatArray:
@@ -217,118 +220,83 @@ def _flat(chain: SerialChain, q: FloatArray) -> FloatArray:
     return q.reshape(-1, chain.n)
 
 
-def _frames(chain: SerialChain, q: FloatArray) -> Iterator[Columns]:
-    """Every link frame, and the tool frame if it is another, of q, shape (m, n)."""
-    X, Y, Z, P = _BASE
-    cosines, sines = cos_sin_of_all(np.ascontiguousarray(q.T) + chain._offsets)
-    for row, c, s in zip(chain.rows, cosines, sines, strict=True):
+def _frames(chain: SerialChain, q: FloatArray) -> Iterable[Frame]:
+    """The base, every link frame, and the tool frame if it is another, of q, shape (m, n)."""
+    if len(q) == 1:
+        return frames_of_one(chain, q[0].tolist())
+    angles = np.ascontiguousarray(q.T) + [[row.offset] for row in chain.rows]
+    return _product(chain, zip(*cos_sin_of_all(angles), strict=True))
+
+
+def _product(chain: SerialChain, turns: Iterable[tuple[Any, Any]]) -> Iterator[Frame]:
+    """The frames, from the cosine and sine of every joint's angle."""
+    X, Y, Z, P = frame = BASE
+    yield frame
+    for row, (c, s) in zip(chain.rows, turns, strict=True):
         if chain.convention == "standard":
             _, a, _, d, ca, sa, *_ = row.numbers
-            if a != 0.0:
-                along = X * (a * c) + Y * (a * s)
-                P = (along if d == 0.0 else along + Z * d) + P
-            elif d != 0.0:
-                P = Z * d + P
-            X, Y = X * c + Y * s, Y * c - X * s
-            Y, Z = _twist(Y, Z, ca, sa)
+            P = _shifted(P, Z, d) if a == 0.0 else _shifted(P, _shifted(_turned(X, Y, a * c, a * s)[0], Z, d), 1.0)
+            X, Y = _turned(X, Y, c, s)
+            Y, Z = _twisted(Y, Z, ca, sa)
         else:
             X, Y, Z, P = _moved(X, Y, Z, P, row)
-            X, Y = X * c + Y * s, Y * c - X * s
+            X, Y = _turned(X, Y, c, s)
         yield X, Y, Z, P
     if chain.has_tool:
-        yield _tool(chain, X, Y, Z, P)
+        X, Y, Z, P = _moved(X, Y, Z, _shifted(P, X, chain.tool_m), chain.tool)
+        X, Y = _twisted(X, Y, *_exact_cos_sin(chain.tool.offset))
+        yield X, Y, Z, P
 
 
-def _tool(chain: SerialChain, X: FloatArray, Y: FloatArray, Z: FloatArray, P: FloatArray) -> Columns:
-    """The tool frame, from the last link frame."""
-    X, Y, Z, P = _moved(X, Y, Z, X * chain.tool_m + P, chain.tool)
-    c, s = _exact_cos_sin(chain.tool.offset)
-    return (X, Y, Z, P) if s == 0.0 and c > 0.0 else (X * c + Y * s, Y * c - X * s, Z, P)
-
-
-def _moved(X: FloatArray, Y: FloatArray, Z: FloatArray, P: FloatArray, row: DHRow) -> Columns:
+def _moved(X: Column, Y: Column, Z: Column, P: Column, row: DHRow) -> Frame:
     """The frame before the joint of a modified row turns."""
     _, a, b, d, ca, sa, cb, sb = row.numbers
-    if a != 0.0:
-        P = X * a + P
-    Y, Z = _twist(Y, Z, ca, sa)
-    if b != 0.0:
-        P = Y * b + P
-    if d != 0.0:
-        P = Z * d + P
-    Z, X = _twist(Z, X, cb, sb)
+    P = _shifted(P, X, a)
+    Y, Z = _twisted(Y, Z, ca, sa)
+    P = _shifted(_shifted(P, Y, b), Z, d)
+    Z, X = _twisted(Z, X, cb, sb)
     return X, Y, Z, P
 
 
-def _twist(Y: FloatArray, Z: FloatArray, ca: float, sa: float) -> tuple[FloatArray, FloatArray]:
-    """Turn Y and Z about x."""
-    if sa == 0.0:
-        return (Y, Z) if ca > 0.0 else (-Y, -Z)
-    if ca == 0.0:
-        return (Z, -Y) if sa > 0.0 else (-Z, Y)
-    return ca * Y + sa * Z, ca * Z - sa * Y
+def _shifted(P: Column, axis: Column, length: float) -> Column:
+    if length == 0.0:
+        return P
+    return axis[0] * length + P[0], axis[1] * length + P[1], axis[2] * length + P[2]
 
 
-def _frames_of_one(chain: SerialChain, q: Sequence[float]) -> list[tuple[Axis, Axis, Axis, Axis]]:
-    """The base and the frames of one configuration q, n joint positions, in plain floats.
-
-    The control step asks for one pose every tick, and for so little work numpy's calls take most of the time. Same
-    products in the same order as `_frames`, hence the same bits, but for the sign of a zero.
-    """
-    (x0, x1, x2), (y0, y1, y2), (z0, z1, z2), (p0, p1, p2) = frame = _BASE_OF_ONE
-    frames = [frame]
-    standard = chain.convention == "standard"
-    for row, angle in zip(chain.rows, q, strict=True):
-        offset, a, b, d, ca, sa, cb, sb = row.numbers
-        c, s = cos_sin(angle + offset)
-        twisted = sa != 0.0 or ca < 0.0
-        if standard and a != 0.0:
-            ac, as_ = a * c, a * s
-            l0, l1, l2 = x0 * ac + y0 * as_, x1 * ac + y1 * as_, x2 * ac + y2 * as_
-            if d != 0.0:
-                l0, l1, l2 = l0 + z0 * d, l1 + z1 * d, l2 + z2 * d
-            p0, p1, p2 = l0 + p0, l1 + p1, l2 + p2
-        else:
-            if a != 0.0:
-                p0, p1, p2 = x0 * a + p0, x1 * a + p1, x2 * a + p2
-            if twisted and not standard:
-                y0, z0 = ca * y0 + sa * z0, ca * z0 - sa * y0
-                y1, z1 = ca * y1 + sa * z1, ca * z1 - sa * y1
-                y2, z2 = ca * y2 + sa * z2, ca * z2 - sa * y2
-            if b != 0.0 and not standard:
-                p0, p1, p2 = y0 * b + p0, y1 * b + p1, y2 * b + p2
-            if d != 0.0:
-                p0, p1, p2 = z0 * d + p0, z1 * d + p1, z2 * d + p2
-            if (sb != 0.0 or cb < 0.0) and not standard:
-                z0, x0 = cb * z0 + sb * x0, cb * x0 - sb * z0
-                z1, x1 = cb * z1 + sb * x1, cb * x1 - sb * z1
-                z2, x2 = cb * z2 + sb * x2, cb * x2 - sb * z2
-        x0, y0 = x0 * c + y0 * s, y0 * c - x0 * s
-        x1, y1 = x1 * c + y1 * s, y1 * c - x1 * s
-        x2, y2 = x2 * c + y2 * s, y2 * c - x2 * s
-        if twisted and standard:
-            y0, z0 = ca * y0 + sa * z0, ca * z0 - sa * y0
-            y1, z1 = ca * y1 + sa * z1, ca * z1 - sa * y1
-            y2, z2 = ca * y2 + sa * z2, ca * z2 - sa * y2
-        frames.append(((x0, x1, x2), (y0, y1, y2), (z0, z1, z2), (p0, p1, p2)))
-    if chain.has_tool:
-        X, Y, Z, P = (tuple(column.tolist()) for column in _tool(chain, *map(np.array, frames[-1])))
-        frames.append((X, Y, Z, P))
-    return frames
+def _twisted(U: Column, V: Column, c: float, s: float) -> tuple[Column, Column]:
+    """Two axes turned about the third by a constant angle, mostly none or a quarter turn."""
+    if s == 0.0:
+        return (U, V) if c > 0.0 else (_minus(U), _minus(V))
+    if c == 0.0:
+        return (V, _minus(U)) if s > 0.0 else (_minus(V), U)
+    return _turned(U, V, c, s)
 
 
-def _jacobian_of_one(chain: SerialChain, q: Sequence[float]) -> list[list[float]]:
-    """Rows of the Jacobian at q, n joint positions; see `joint_axes` for the axes."""
-    frames = _frames_of_one(chain, q)
-    t0, t1, t2 = frames[-1][3]
-    columns = []
-    for _, _, (z0, z1, z2), (p0, p1, p2) in frames[chain.first_axis : chain.first_axis + chain.n]:
-        v0, v1, v2 = t0 - p0, t1 - p1, t2 - p2
-        columns.append((z1 * v2 - z2 * v1, z2 * v0 - z0 * v2, z0 * v1 - z1 * v0, z0, z1, z2))
-    return [list(row) for row in zip(*columns, strict=True)]
+def _minus(U: Column) -> Column:
+    return -U[0], -U[1], -U[2]
 
 
-def _write(T: FloatArray, columns: Columns) -> None:
-    """Columns of shape (3, m) into transforms of shape (m, 4, 4)."""
-    for i, column in enumerate(columns):
-        T[:, :3, i] = column.T
+def _turned(U: Column, V: Column, c: Any, s: Any) -> tuple[Column, Column]:
+    (u0, u1, u2), (v0, v1, v2) = U, V
+    return (c * u0 + s * v0, c * u1 + s * v1, c * u2 + s * v2), (c * v0 - s * u0, c * v1 - s * u1, c * v2 - s * u2)
+
+
+def _transforms(*shape: int) -> FloatArray:
+    """Of that shape, still to be filled."""
+    T = np.empty((*shape, 4, 4))
+    T[..., 3, :] = BASE[3] + (1.0,)
+    return T
+
+
+def columns_of(T: FloatArray) -> Frame:
+    """The columns of transforms of shape (m, 4, 4), as frames have them: the other way round than `_write`."""
+    X, Y, Z, P = (tuple(np.ascontiguousarray(T[:, :3, i].T)) for i in range(4))
+    return X, Y, Z, P
+
+
+def _write(T: FloatArray, frame: Frame) -> None:
+    """A frame of m poses, or one for all, into transforms of shape (m, 4, 4)."""
+    for k, column in enumerate(frame):
+        for i, number in enumerate(column):
+            T[:, i, k] = number

@@ -14,13 +14,16 @@ ends are again a triangle's. A hand that turns about its own axis (`roll`) point
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any, cast
 
 import numpy as np
 
 from armctl.errors import ConfigError
 from armctl.kinematics.annulus import ROUNDING, PlaneReach, annulus
+from armctl.kinematics.chain import Frame, columns_of
+from armctl.kinematics.numbers import ARRAYS, FLOATS, Numbers
 from armctl.kinematics.transform import FloatArray, finite
 
 # Bends [rad] of the last joint that are tried where it is free: with the pitch free too, and with the pitch given.
@@ -65,34 +68,9 @@ class PlanarArm:
         Returns:
             q [rad], shape (m, branches, n): waist x elbow; NaN where a branch does not exist.
         """
-        p = T[:, :3, 3]
+        columns = columns_of(T)
         with np.errstate(invalid="ignore", divide="ignore"):
-            if self.roll:
-                c1, s1 = self._waist_of_axis(p, T[:, :3, 2])
-            else:
-                normal = np.hypot(T[:, 0, 2], T[:, 1, 2])
-                c1 = np.where(normal > 0.0, -T[:, 1, 2] / normal, 1.0)[:, None]
-                s1 = np.where(normal > 0.0, T[:, 0, 2] / normal, 0.0)[:, None]
-            return self._facing(p, T[:, :3, :3], c1, s1, bend, clamp=False)
-
-    def _facing(
-        self, p: FloatArray, R: FloatArray, c1: FloatArray, s1: FloatArray, bend: float, *, clamp: bool
-    ) -> FloatArray:
-        """Configurations, shape (m, branches, n), at points p with the waist given and the direction as in R."""
-        axis = R[:, :, 2 if self.roll else 0]
-        u = c1 * p[:, :1] + s1 * p[:, 1:2] - self.a1
-        v = p[:, 2:] - self.height + 0.0 * u
-        pitch = np.arctan2(axis[:, 2:], c1 * axis[:, :1] + s1 * axis[:, 1:2])
-        q = self._in_plane(u, v, pitch, bend, clamp=clamp)
-        if self.roll:
-            # n = cos(roll) X4 + sin(roll) Y4: X4 in the plane a quarter turn behind the hand, Y4 across the plane.
-            reached = q[..., 0, :].sum(axis=-1)
-            X = R[:, :, :1]
-            along = np.cos(reached) * (c1 * X[:, 0] + s1 * X[:, 1]) + np.sin(reached) * X[:, 2]
-            across = c1 * X[:, 1] - s1 * X[:, 0]
-            roll = np.arctan2(across, along)[:, :, None, None]
-            q = np.concatenate((q, np.broadcast_to(roll, (*q.shape[:3], 1))), axis=-1)
-        return self._with_waist(c1, s1, q)
+            return _stacked(self._branches(columns, self._waists(columns, ARRAYS), bend, ARRAYS))
 
     def pose(self, T: Sequence[Sequence[float]]) -> list[tuple[float, ...]]:
         """Every joint configuration [rad] of one pose, in plain floats, in the order of `poses`.
@@ -102,36 +80,63 @@ class PlanarArm:
         Args:
             T: Tool pose in the base frame, at least its first three rows.
         """
-        (nx, _, zx, px), (ny, _, zy, py), (nz, _, zz, pz) = T[:3]
-        far, level = math.hypot(px, py) / sum(self.links_m), math.hypot(zx, zy)
+        x_axis, _, (z_x, z_y, z_z), (p_x, p_y, _) = columns = cast(Frame, tuple(zip(*T[:3], strict=True)))
+        far, level = math.hypot(p_x, p_y) / sum(self.links_m), math.hypot(z_x, z_y)
         if len(self.links_m) == 4 or (max(level, far) if self.roll else level) < EDGE:
             return []
-        x, y, z = (zx, zy, zz) if self.roll else (nx, ny, nz)
-        if not self.roll:
-            c1, s1, out = -zy / level, zx / level, zz
-        elif level > far:
-            c1, s1, out = zx / level, zy / level, 0.0
-        else:
-            c1, s1, out = px / math.hypot(px, py), py / math.hypot(px, py), 0.0
-        if max(abs(s1 * px - c1 * py - self.shoulder), abs(out), abs(s1 * x - c1 * y)) > SAME:
+        (c1, s1), *_ = waists = self._waists(columns, FLOATS)
+        # What an arm of so few joints leaves: of the place, of the pitch axis, of the last link's direction.
+        x, y, out = (z_x, z_y, 0.0) if self.roll else (*x_axis[:2], z_z)
+        if max(abs(s1 * p_x - c1 * p_y - self.shoulder), abs(out), abs(s1 * x - c1 * y)) > SAME:
             return []
-        a, b, last = self.links_m
-        found: list[tuple[float, ...]] = []
-        for c, s in ((c1, s1), (-c1, -s1)) if self.roll else ((c1, s1),):
-            ahead, along = math.hypot(c * x + s * y, z), c * nx + s * ny
-            pitch = math.atan2(z, c * x + s * y)
-            u = c * px + s * py - self.a1 - last * (c * x + s * y) / ahead
-            v = pz - self.height - last * z / ahead
-            C = (u * u + v * v - a * a - b * b) / (2.0 * a * b)
-            if abs(rest := (1.0 - C) * (1.0 + C)) < EDGE * EDGE:
-                return []
-            for S in (math.sqrt(rest), -math.sqrt(rest)) if rest > 0.0 else ():
-                upper = math.atan2(v * (a + b * C) - u * b * S, u * (a + b * C) + v * b * S)
-                elbow, reached = math.atan2(S, C), pitch - math.pi / 2.0 if self.roll else pitch
-                last_rad = math.remainder(reached - upper - elbow, 2.0 * math.pi)
-                turn = math.atan2(c * ny - s * nx, math.cos(reached) * along + math.sin(reached) * nz)
-                found.append((math.atan2(s, c), upper, elbow, last_rad, *((turn,) if self.roll else ())))
-        return found
+        found = [q for q in self._branches(columns, waists, 0.0, FLOATS) if q[2] == q[2]]
+        return [] if any(abs(math.sin(elbow)) < EDGE for _, _, elbow, *_ in found) else found
+
+    def _branches(
+        self, T: Frame, waists: Iterable[tuple[Any, Any]], bend: float, on: Numbers, *, clamp: bool = False
+    ) -> Iterator[tuple[Any, ...]]:
+        """The angles of each branch, NaN where there is none, of the columns of a pose, or of many.
+
+        Args:
+            waists: Cosine and sine of the waist, forward and back.
+            clamp: The last link's direction is turned as far as the others need it to reach.
+        """
+        (n_x, n_y, n_z), _, _, (p_x, p_y, p_z) = T
+        a_x, a_y, a_z = T[2 if self.roll else 0]
+        for c1, s1 in waists:
+            pitch = on.atan2(a_z, c1 * a_x + s1 * a_y)
+            for joints in self._in_plane(c1 * p_x + s1 * p_y - self.a1, p_z - self.height, pitch, bend, on, clamp):
+                if self.roll:
+                    # n = cos(roll) X4 + sin(roll) Y4: X4 in the plane a quarter turn behind the hand, Y4 across it.
+                    reached = joints[0] + joints[1] + joints[2]
+                    along = on.cos(reached) * (c1 * n_x + s1 * n_y) + on.sin(reached) * n_z
+                    joints = (*joints, on.atan2(c1 * n_y - s1 * n_x, along))
+                yield (on.atan2(s1, c1), *joints)
+
+    def _in_plane(self, u: Any, v: Any, pitch: Any, bend: float, on: Numbers, clamp: bool) -> Iterator[tuple[Any, ...]]:
+        """The pitch joints, elbow up and down."""
+        *inner, last = self.links_m
+        if clamp:
+            pitch = _feasible(u, v, last, tuple(inner), pitch)
+        directions = [pitch]
+        u, v = u - last * on.cos(pitch), v - last * on.sin(pitch)
+        if len(inner) == 3:
+            free = _feasible(u, v, inner[2], tuple(inner[:2]), pitch - bend)
+            directions.insert(0, free)
+            u, v = u - inner[2] * on.cos(free), v - inner[2] * on.sin(free)
+        a, b = inner[:2]
+        C = (u * u + v * v - a * a - b * b) / (2.0 * a * b)
+        root = on.root((1.0 - C) * (1.0 + C), 4.0 * ROUNDING)
+        C = on.within(C, -1.0, 1.0)
+        # The frame of a hand that rolls lies a quarter turn behind the direction it points in.
+        quarter = math.pi / 2.0 if self.roll else 0.0
+        for S in (root, -root):
+            joints = [on.atan2(v * (a + b * C) - u * b * S, u * (a + b * C) + v * b * S), on.atan2(S, C + 0.0 * S)]
+            total = joints[0] + joints[1]
+            for direction in directions:
+                joints.append(on.wrapped(direction - quarter - total))
+                total = total + joints[-1]
+            yield tuple(joints)
 
     def pose_families(self, T: FloatArray) -> FloatArray:
         """Joint configurations [rad] of one pose, shape (branches, k, n): with four links, over k bends."""
@@ -147,18 +152,19 @@ class PlanarArm:
             q, shape (m, 4, k, n): waist x elbow; NaN where the point is out of reach.
         """
         bends = BENDS if len(self.links_m) == 4 else np.zeros(1)
-        p = np.repeat(np.asarray(points, dtype=np.float64), len(PITCHES), axis=0)
-        pitch = np.tile(PITCHES, len(points))[:, None]
+        p_x, p_y, p_z = np.repeat(np.asarray(points, dtype=np.float64), len(PITCHES), axis=0).T
+        pitch, roll = np.tile(PITCHES, len(points)), (0.0,) * self.roll
         with np.errstate(invalid="ignore", divide="ignore"):
-            c1, s1 = self._waist_of_point(p)
-            u = c1 * p[:, :1] + s1 * p[:, 1:2] - self.a1
-            v = p[:, 2:] - self.height + 0.0 * u
-            family = []
-            for bend in bends.tolist():
-                q = self._in_plane(u, v, pitch + 0.0 * u, bend, clamp=True)
-                if self.roll:
-                    q = np.concatenate((q, np.zeros((*q.shape[:3], 1))), axis=-1)
-                family.append(self._with_waist(c1, s1, q))
+            family = [
+                _stacked(
+                    (np.arctan2(s1, c1), *joints, *roll)
+                    for c1, s1 in self._waists_of_point(p_x, p_y, ARRAYS)
+                    for joints in self._in_plane(
+                        c1 * p_x + s1 * p_y - self.a1, p_z - self.height, pitch, bend, ARRAYS, clamp=True
+                    )
+                )
+                for bend in bends.tolist()
+            ]
         q = np.stack(family).reshape(len(bends), len(points), len(PITCHES), 4, -1)
         return q.transpose(1, 3, 2, 0, 4).reshape(len(points), 4, len(PITCHES) * len(bends), -1)
 
@@ -173,70 +179,48 @@ class PlanarArm:
         The tool's position comes first, then the direction of its last link, turned into the arm's plane and, as far
         as the other links need it, further.
         """
-        near, distance = self.tool_reach.nearest(T[:3, 3])
+        at = np.array(T)
+        at[:3, 3], distance = self.tool_reach.nearest(T[:3, 3])
+        columns = columns_of(at[None])
         with np.errstate(invalid="ignore", divide="ignore"):
-            c1, s1 = self._waist_of_point(near[None])
-            q = self._facing(near[None], T[None, :3, :3], c1, s1, 0.0, clamp=True)[0]
-        return finite(q), distance
+            waists = self._waists_of_point(*columns[3][:2], ARRAYS)
+            return finite(_stacked(self._branches(columns, waists, 0.0, ARRAYS, clamp=True))), distance
 
-    def _waist_of_point(self, p: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Cosine and sine of the waist, shape (m, 2): the plane holds the point, before and behind the axis."""
-        x, y = p[:, :1], p[:, 1:2]
+    def _waists_of_point(self, x: Any, y: Any, on: Numbers) -> list[tuple[Any, Any]]:
+        """Cosine and sine of the waist: the plane holds the point, before and behind the axis."""
         offset, square = self.shoulder, x * x + y * y
-        rest = square - offset * offset
-        rest = np.where((rest < 0.0) & (rest >= -ROUNDING * (square + offset * offset)), 0.0, rest)
-        radial = np.concatenate((np.sqrt(rest), -np.sqrt(rest)), axis=1)
-        c1 = np.where(square > 0.0, (radial * x - offset * y) / square, 1.0)
-        s1 = np.where(square > 0.0, (radial * y + offset * x) / square, 0.0)
-        return c1, s1
+        root = on.root(square - offset * offset, ROUNDING * (square + offset * offset))
+        aside, off_axis = square > 0.0, on.where(square > 0.0, square, math.nan)
+        return [
+            (
+                on.where(aside, (radial * x - offset * y) / off_axis, 1.0),
+                on.where(aside, (radial * y + offset * x) / off_axis, 0.0),
+            )
+            for radial in (root, -root)
+        ]
 
-    def _waist_of_axis(self, p: FloatArray, axis: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Cosine and sine of the waist, shape (m, 2), from the hand's axis or the point, whichever lies further out.
+    def _waists(self, T: Frame, on: Numbers) -> list[tuple[Any, Any]]:
+        """Cosine and sine of the waist of a pose: across the pitch axis or, where the hand rolls, as that points.
 
-        Only for arms whose plane holds the waist's axis.
+        Where it points up or down more than the point lies out, from the point: its plane holds the waist's axis.
         """
-        level, out = np.hypot(axis[:, 0], axis[:, 1]), np.hypot(p[:, 0], p[:, 1]) / sum(self.links_m)
-        c1, s1 = self._waist_of_point(p)
-        by_axis = level > out
-        side = np.stack((1.0 / level, -1.0 / level), axis=1)
-        c1 = np.where(by_axis[:, None], axis[:, :1] * side, c1)
-        s1 = np.where(by_axis[:, None], axis[:, 1:2] * side, s1)
-        return c1, s1
+        (a_x, a_y, _), (p_x, p_y, _) = T[2:]
+        level = on.root(a_x * a_x + a_y * a_y, 0.0)
+        turns, leveled = level > 0.0, on.where(level > 0.0, level, math.nan)
+        if not self.roll:
+            return [(on.where(turns, -a_y / leveled, 1.0), on.where(turns, a_x / leveled, 0.0))]
+        by_axis = level > on.root(p_x * p_x + p_y * p_y, 0.0) / sum(self.links_m)
+        return [
+            (on.where(by_axis, way * a_x / leveled, c1), on.where(by_axis, way * a_y / leveled, s1))
+            for way, (c1, s1) in zip((1.0, -1.0), self._waists_of_point(p_x, p_y, on), strict=True)
+        ]
 
-    def _in_plane(self, u: FloatArray, v: FloatArray, pitch: FloatArray, bend: float, *, clamp: bool) -> FloatArray:
-        """Pitch joints, shape (m, waists, 2, links); NaN where the links do not reach."""
-        *inner, last = self.links_m
-        if clamp:
-            pitch = _feasible(u, v, last, tuple(inner), pitch)
-        directions = [pitch]
-        u, v = u - last * np.cos(pitch), v - last * np.sin(pitch)
-        if len(inner) == 3:
-            free = _feasible(u, v, inner[2], tuple(inner[:2]), pitch - bend)
-            directions.insert(0, free)
-            u, v = u - inner[2] * np.cos(free), v - inner[2] * np.sin(free)
-        a, b = inner[:2]
-        C = (u * u + v * v - a * a - b * b) / (2.0 * a * b)
-        rest = (1.0 - C) * (1.0 + C)
-        S = np.sqrt(np.where((rest < 0.0) & (rest >= -4.0 * ROUNDING), 0.0, rest))
-        C = np.clip(C, -1.0, 1.0)
-        S = np.stack((S, -S), axis=-1)
-        C, u, v = C[..., None], u[..., None], v[..., None]
-        upper = np.arctan2(v * (a + b * C) - u * b * S, u * (a + b * C) + v * b * S)
-        elbow = np.arctan2(S, C + 0.0 * S)
-        total, joints = upper + elbow, [upper, elbow]
-        for direction in directions:
-            # The frame of a hand that rolls lies a quarter turn behind the direction it points in.
-            quarter = math.pi / 2.0 if self.roll else 0.0
-            joints.append(_wrapped(direction[..., None] - quarter - total))
-            total = total + joints[-1]
-        return np.stack(joints, axis=-1)
 
-    def _with_waist(self, c1: FloatArray, s1: FloatArray, q: FloatArray) -> FloatArray:
-        """Waist and pitch joints together, shape (m, waists x 2, n)."""
-        waist = np.broadcast_to(np.arctan2(s1, c1)[:, :, None, None], (*q.shape[:3], 1))
-        q = np.concatenate((waist, q), axis=-1).reshape(len(q), -1, q.shape[-1] + 1)
-        q[~np.isfinite(q).all(axis=-1)] = math.nan
-        return q
+def _stacked(branches: Iterable[tuple[Any, ...]]) -> FloatArray:
+    """Configurations, shape (m, branches, n); NaN as a whole where an angle is."""
+    q = np.stack([np.stack(np.broadcast_arrays(*angles), axis=-1) for angles in branches], axis=1)
+    q[~np.isfinite(q).all(axis=-1)] = math.nan
+    return q
 
 
 def _feasible(u: FloatArray, v: FloatArray, link: float, inner: tuple[float, ...], wanted: FloatArray) -> FloatArray:
@@ -246,11 +230,6 @@ def _feasible(u: FloatArray, v: FloatArray, link: float, inner: tuple[float, ...
     across = 2.0 * distance * link
     least = np.arccos(np.clip((distance**2 + link**2 - low * low) / across, -1.0, 1.0))
     most = np.arccos(np.clip((distance**2 + link**2 - high * high) / across, -1.0, 1.0))
-    off = _wrapped(wanted - bearing)
+    off = ARRAYS.wrapped(wanted - bearing)
     turned = bearing + np.copysign(np.clip(np.abs(off), least, most), off)
     return np.where(across > 0.0, turned, wanted)
-
-
-def _wrapped(angle: FloatArray) -> FloatArray:
-    """The angle within +-pi."""
-    return np.asarray(angle - 2.0 * math.pi * np.round(angle / (2.0 * math.pi)))

@@ -13,15 +13,17 @@ No angle is computed to take its cosine again; each is one atan2 at the end.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, cast
 
 import numpy as np
 
 from armctl.errors import ConfigError
 from armctl.kinematics.annulus import ROUNDING, PlaneReach
-from armctl.kinematics.chain import blocks
+from armctl.kinematics.chain import Frame, blocks, columns_of
+from armctl.kinematics.numbers import ARRAYS, FLOATS, Numbers
 from armctl.kinematics.transform import FloatArray, finite
 
 BRANCHES = 8
@@ -66,52 +68,14 @@ class SphericalWrist:
         Returns:
             q [rad], shape (m, 8, 6): waist forward and back x elbow x wrist; NaN where a branch does not exist.
         """
-        q = np.empty((len(T), 2, 2, 2, 6))
+        q = np.empty((len(T), BRANCHES, 6))
         with np.errstate(invalid="ignore", divide="ignore"):
             for block in blocks(len(T)):
-                self._block(T[block], q[block])
-        return q.reshape(-1, BRANCHES, 6)
-
-    def _block(self, T: FloatArray, q: FloatArray) -> None:
-        (nx, ny, nz), (ox, oy, oz), (ax, ay, az), (px, py, pz) = (np.ascontiguousarray(T[:, :3, i].T) for i in range(4))
-        L, cos_bend, sin_bend = self._forearm
-        a2, offset, d6 = self.a2, self.shoulder, self.d6
-        wx, wy, v = px - d6 * ax, py - d6 * ay, pz - d6 * az
-        square = wx * wx + wy * wy
-        root = np.sqrt(_no_rounding(square - offset * offset, ROUNDING * (square + offset * offset)))
-        radial = np.stack((root, -root))[:, None]  # waist, elbow, pose
-        c1 = np.where(square > 0.0, (radial * wx - offset * wy) / square, 1.0 + 0.0 * root)
-        s1 = np.where(square > 0.0, (radial * wy + offset * wx) / square, 0.0 * root)
-        u = radial - self.a1
-        C = ((u * u + v * v) - (a2 * a2 + L * L)) / (2.0 * a2 * L)
-        root = np.sqrt(_no_rounding((1.0 - C) * (1.0 + C), 2.0 * ROUNDING))
-        S = np.concatenate((root, -root), axis=1)
-        C = np.clip(C, -1.0, 1.0)
-        c3, s3 = C * cos_bend + S * sin_bend, S * cos_bend - C * sin_bend
-        along, across = a2 + L * C, L * S
-        c2, s2 = u * along + v * across, v * along - u * across
-        length = np.hypot(c2, s2)
-        c2, s2 = c2 / length, s2 / length
-        c23, s23 = c2 * c3 - s2 * s3, s2 * c3 + c2 * s3
-        # The rotation seen from frame 3: first turned into the arm's plane, then along the forearm.
-        x, y = c1 * ax + s1 * ay, c1 * ay - s1 * ax
-        ax3, az3 = c23 * x + s23 * az, c23 * az - s23 * x
-        h = np.sqrt(ax3 * ax3 + y * y)
-        bent = h > _STRAIGHT
-        c4, s4 = np.where(bent, -ax3 / h, 1.0 + 0.0 * h), np.where(bent, -y / h, 0.0 * h)
-        x, y = c1 * nx + s1 * ny, c1 * ny - s1 * nx
-        s6 = c4 * y - s4 * (c23 * x + s23 * nz)
-        x, y = c1 * ox + s1 * oy, c1 * oy - s1 * ox
-        c6 = c4 * y - s4 * (c23 * x + s23 * oz)
-        q4, q5, q6 = np.arctan2(s4, c4), np.arctan2(h, az3), np.arctan2(s6, c6)
-        first = (np.arctan2(s1, c1), np.arctan2(s2, c2), np.arctan2(s3, c3))
-        for joint, angle in enumerate(first):
-            q[..., joint] = angle.transpose(2, 0, 1)[..., None]
-        flipped = (q4 - np.copysign(math.pi, q4), -q5, q6 - np.copysign(math.pi, q6))
-        for joint, (angle, other) in enumerate(zip((q4, q5, q6), flipped, strict=True), start=3):
-            q[..., 0, joint] = angle.transpose(2, 0, 1)
-            q[..., 1, joint] = other.transpose(2, 0, 1)
+                for branch, angles in enumerate(self._branches(columns_of(T[block]), ARRAYS)):
+                    for joint, angle in enumerate(angles):
+                        q[block, branch, joint] = angle
         q[~np.isfinite(q).all(axis=-1)] = math.nan
+        return q
 
     def pose(self, T: Sequence[Sequence[float]]) -> list[tuple[float, ...]]:
         """Every joint configuration [rad] of one pose, in plain floats: at most eight, in the order of `poses`.
@@ -121,49 +85,56 @@ class SphericalWrist:
         Args:
             T: Tool pose in the base frame, at least its first three rows.
         """
-        (nx, ox, ax, px), (ny, oy, ay, py), (nz, oz, az, pz) = T[:3]
+        x, y = T[0][3] - self.d6 * T[0][2], T[1][3] - self.d6 * T[1][2]
+        square, beside = x * x + y * y, self.shoulder * self.shoulder
+        if square == 0.0 or square - beside < EDGE * EDGE * (square + beside):
+            return []
+        found = [q for q in self._branches(cast(Frame, tuple(zip(*T[:3], strict=True))), FLOATS) if q[5] == q[5]]
+        _, cos_bend, sin_bend = self._forearm
+        for _, _, q3, _, q5, _ in found:
+            if min(abs(math.sin(q3) * cos_bend + math.cos(q3) * sin_bend), abs(math.sin(q5))) < EDGE:
+                return []
+        return found
+
+    def _branches(self, T: Frame, on: Numbers) -> Iterator[tuple[Any, ...]]:
+        """Six angles of each branch, NaN where there is none, of the columns of a pose, or of many."""
+        (n_x, n_y, n_z), (o_x, o_y, o_z), (a_x, a_y, a_z), (p_x, p_y, p_z) = T
         L, cos_bend, sin_bend = self._forearm
         a2, offset, d6 = self.a2, self.shoulder, self.d6
-        sqrt, atan2 = math.sqrt, math.atan2
-        wx, wy, v = px - d6 * ax, py - d6 * ay, pz - d6 * az
-        square = wx * wx + wy * wy
-        rest = square - offset * offset
-        if rest < EDGE * EDGE * (square + offset * offset) or square == 0.0:
-            return []
-        root = sqrt(rest)
-        found: list[tuple[float, ...]] = []
+        w_x, w_y, v = p_x - d6 * a_x, p_y - d6 * a_y, p_z - d6 * a_z
+        square = w_x * w_x + w_y * w_y
+        aside, off_axis = square > 0.0, on.where(square > 0.0, square, math.nan)
+        root = on.root(square - offset * offset, ROUNDING * (square + offset * offset))
         for radial in (root, -root):
-            c1, s1 = (radial * wx - offset * wy) / square, (radial * wy + offset * wx) / square
-            q1, u = atan2(s1, c1), radial - self.a1
-            C = (u * u + v * v - (a2 * a2 + L * L)) / (2.0 * a2 * L)
-            rest = (1.0 - C) * (1.0 + C)
-            if abs(rest) < EDGE * EDGE:
-                return []
-            if rest < 0.0:
-                continue
-            S = sqrt(rest)
-            along = a2 + L * C
-            a_x, a_y = c1 * ax + s1 * ay, c1 * ay - s1 * ax
-            n_x, n_y = c1 * nx + s1 * ny, c1 * ny - s1 * nx
-            o_x, o_y = c1 * ox + s1 * oy, c1 * oy - s1 * ox
-            for S3 in (S, -S):
-                c3, s3 = C * cos_bend + S3 * sin_bend, S3 * cos_bend - C * sin_bend
-                across = L * S3
-                q3, q2 = atan2(s3, c3), atan2(v * along - u * across, u * along + v * across)
-                c23, s23 = u * along + v * across, v * along - u * across
-                length = sqrt(c23 * c23 + s23 * s23)
-                c23, s23 = (c23 * c3 - s23 * s3) / length, (s23 * c3 + c23 * s3) / length
-                ax3, az3 = c23 * a_x + s23 * az, c23 * az - s23 * a_x
-                h = sqrt(ax3 * ax3 + a_y * a_y)
-                if h < EDGE:
-                    return []
-                c4, s4 = -ax3 / h, -a_y / h
-                q4, q5 = atan2(s4, c4), atan2(h, az3)
-                q6 = atan2(c4 * n_y - s4 * (c23 * n_x + s23 * nz), c4 * o_y - s4 * (c23 * o_x + s23 * oz))
-                half_4 = -math.pi if q4 > 0.0 else math.pi
-                half_6 = -math.pi if q6 > 0.0 else math.pi
-                found += (q1, q2, q3, q4, q5, q6), (q1, q2, q3, q4 + half_4, -q5, q6 + half_6)
-        return found
+            c1 = on.where(aside, (radial * w_x - offset * w_y) / off_axis, 1.0 + 0.0 * root)
+            s1 = on.where(aside, (radial * w_y + offset * w_x) / off_axis, 0.0 * root)
+            q1, u = on.atan2(s1, c1), radial - self.a1
+            C = ((u * u + v * v) - (a2 * a2 + L * L)) / (2.0 * a2 * L)
+            bent = on.root((1.0 - C) * (1.0 + C), 2.0 * ROUNDING)
+            C = on.within(C, -1.0, 1.0)
+            # The rotation, turned into the arm's plane.
+            (n_u, n_v), (o_u, o_v), (a_u, a_v) = (
+                (c1 * x + s1 * y, c1 * y - s1 * x) for x, y in ((n_x, n_y), (o_x, o_y), (a_x, a_y))
+            )
+            for S in (bent, -bent):
+                c3, s3 = C * cos_bend + S * sin_bend, S * cos_bend - C * sin_bend
+                along, across = a2 + L * C, L * S
+                c2, s2 = u * along + v * across, v * along - u * across
+                length = on.root(c2 * c2 + s2 * s2, 0.0)
+                length = on.where(length > 0.0, length, math.nan)
+                c2, s2 = c2 / length, s2 / length
+                c23, s23 = c2 * c3 - s2 * s3, s2 * c3 + c2 * s3
+                # Then along the forearm.
+                a_3, w_3 = c23 * a_u + s23 * a_z, c23 * a_z - s23 * a_u
+                h = on.root(a_3 * a_3 + a_v * a_v, 0.0)
+                turns, off_line = h > _STRAIGHT, on.where(h > _STRAIGHT, h, math.nan)
+                c4, s4 = on.where(turns, -a_3 / off_line, 1.0 + 0.0 * h), on.where(turns, -a_v / off_line, 0.0 * h)
+                s6 = c4 * n_v - s4 * (c23 * n_u + s23 * n_z)
+                c6 = c4 * o_v - s4 * (c23 * o_u + s23 * o_z)
+                q2, q3 = on.atan2(s2, c2), on.atan2(s3, c3)
+                q4, q5, q6 = on.atan2(s4, c4), on.atan2(h, w_3), on.atan2(s6, c6)
+                yield q1, q2, q3, q4, q5, q6
+                yield q1, q2, q3, q4 - on.copysign(math.pi, q4), -q5, q6 - on.copysign(math.pi, q6)
 
     def pose_families(self, T: FloatArray) -> FloatArray:
         """Every joint configuration [rad] of one pose, shape (8, 1, 6): six joints leave nothing free."""
@@ -221,8 +192,3 @@ def _directions(count: int = 128) -> FloatArray:
     z, turn = 1.0 - 2.0 * k / count, math.pi * (1.0 + math.sqrt(5.0)) * k
     r = np.sqrt(1.0 - z * z)
     return np.stack((r * np.cos(turn), r * np.sin(turn), z), axis=1)
-
-
-def _no_rounding(value: FloatArray, slack: FloatArray | float) -> FloatArray:
-    """`value`, with what lies within `slack` below zero counted as zero."""
-    return np.where((value < 0.0) & (value >= -slack), 0.0, value)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from armctl.config import ArmConfig
 from armctl.dynamixel.ax12a import LOAD_MAX, TICK_RAD, compliance_slope
 from armctl.dynamixel.servos import MODELS
-from armctl.kinematics.chain import SerialChain, joint_axes, link_frames
+from armctl.kinematics.chain import SerialChain, frames_of_one, link_frames
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import LagModel
 
@@ -51,13 +51,12 @@ def lags_rad(
 ) -> list[float]:
     """By how much each joint of the chain stays behind its goal, at one instant [rad]."""
     n = chain.n
-    axes, tool = joint_axes(chain, np.array([q[:n]]))
-    at = [(float(P[0, 0]), float(P[1, 0])) for _, P in axes]
-    at.append((float(tool[0, 0]), float(tool[1, 0])))
+    frames = frames_of_one(chain, q[:n])
+    turning = chain.turning(frames)
+    at = [P for _, _, _, P in (*turning, frames[-1])]
     found = []
-    for i, (row, (z, _)) in enumerate(zip(model.rows, axes, strict=True)):
+    for i, (row, (_, _, (zx, zy, _), _)) in enumerate(zip(model.rows, turning, strict=True)):
         lag = row[n] * side[i] + row[n + 1] * velocity_rad_s[i] + row[n + 2]
-        zx, zy = float(z[0, 0]), float(z[1, 0])
         for k in range(i, n):
             lag += row[k] * (zx * (at[k + 1][1] - at[k][1]) - zy * (at[k + 1][0] - at[k][0]))
         found.append(lag)
