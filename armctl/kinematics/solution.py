@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from armctl.errors import ConfigError
 from armctl.kinematics.chain import jacobian, tool_position
 from armctl.kinematics.inverse import TURN_RAD, masked_jacobian, pose_errors, refine_poses, solve_poses, within_a_turn
-from armctl.kinematics.robots.robot import ClosedForm, Robot
+from armctl.kinematics.robots.robot import Robot
+from armctl.kinematics.structure import ClosedForm
 from armctl.kinematics.target import Target
 from armctl.kinematics.transform import FloatArray, finite
 

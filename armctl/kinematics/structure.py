@@ -20,7 +20,6 @@ import numpy as np
 from armctl.errors import ConfigError
 from armctl.kinematics.chain import DHRow, SerialChain, forward_kinematics, joint_axes
 from armctl.kinematics.planar_arm import PlanarArm
-from armctl.kinematics.robots.robot import ClosedForm
 from armctl.kinematics.spherical_wrist import SphericalWrist
 from armctl.kinematics.transform import FloatArray, inverted
 
@@ -33,7 +32,7 @@ QUARTER, TURN = math.pi / 2.0, 2.0 * math.pi
 class Placed:
     """A closed form at another place, with other zeros, directions and another tool frame."""
 
-    form: ClosedForm
+    form: PlanarArm | SphericalWrist
     # Shape (4, 4); C is a rotation alone.
     B: FloatArray
     C: FloatArray
@@ -78,6 +77,10 @@ class Placed:
         return np.asarray(q - 2.0 * math.pi * np.round(q / (2.0 * math.pi)))
 
 
+# Joint ranges play no part in it; angles lie within +-pi.
+ClosedForm = PlanarArm | SphericalWrist | Placed
+
+
 def closed_form(chain: SerialChain) -> ClosedForm | None:
     """The closed form that a chain has, as it is where the chain is its own table; None: it is solved by numbers."""
     if chain.n < 4:
@@ -94,6 +97,10 @@ def closed_form(chain: SerialChain) -> ClosedForm | None:
             own = max(np.abs(B - np.eye(4)).max(), np.abs(C - np.eye(4)).max(), np.abs(zeros).max(), 1.0 - signs.min())
             return form if own < 1e-15 else Placed(form, B, C, signs, zeros)
     return None
+
+
+# A form, its own table, signs and zeros [rad].
+Candidate = tuple[PlanarArm | SphericalWrist, SerialChain, FloatArray, FloatArray]
 
 
 class _Axes:
@@ -121,8 +128,8 @@ class _Axes:
         return abs(float(self.z[1] @ self.z[0])) < SAME and float(np.linalg.norm(np.cross(*self.z[:2]))) > 0.5
 
 
-def _candidates(on: _Axes) -> Iterator[tuple[ClosedForm, SerialChain, FloatArray, FloatArray]]:
-    """Forms that a chain may have: the form, its own table, signs and zeros [rad]."""
+def _candidates(on: _Axes) -> Iterator[Candidate]:
+    """Forms that a chain may have."""
     if not on.level:
         return
     pitches = on.pitches()
@@ -137,7 +144,7 @@ def _candidates(on: _Axes) -> Iterator[tuple[ClosedForm, SerialChain, FloatArray
         return  # a link without length
 
 
-def _planar(on: _Axes, pitches: int, *, roll: bool) -> tuple[ClosedForm, SerialChain, FloatArray, FloatArray]:
+def _planar(on: _Axes, pitches: int, *, roll: bool) -> Candidate:
     corners = np.array([*on.at[1 : pitches + 1], on.at[-1]])[:, [0, 2]]
     (a1, height), links = corners[0], np.diff(corners, axis=0)
     lengths = tuple(np.linalg.norm(links, axis=1).tolist())
@@ -158,7 +165,7 @@ def _planar(on: _Axes, pitches: int, *, roll: bool) -> tuple[ClosedForm, SerialC
     return form, SerialChain(rows), np.array([1.0, *-on.z[1:4, 1], along]).round(), np.array([0.0, *turns, 0.0])
 
 
-def _spherical(on: _Axes) -> tuple[ClosedForm, SerialChain, FloatArray, FloatArray]:
+def _spherical(on: _Axes) -> Candidate:
     (a1, height), upper = on.at[1][[0, 2]], (on.at[2] - on.at[1])[[0, 2]]
     e4, e5, e6 = on.z[3:6]
     # Where axes 4 and 6 meet, or come nearest; along one line, where axis 5 stands.

@@ -176,7 +176,7 @@ def test_typed_rounding_of_a_rotation_is_removed() -> None:
 
 def test_without_a_closed_form_the_numeric_one_answers(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(inverse, "MOST_STARTS", 3)
-    robot = dataclasses.replace(robots.get("lanzhou-4dof"), make_closed_form=None)
+    robot = dataclasses.replace(robots.get("lanzhou-4dof"), closes=False)
     assert solve(robot, pose_target(forward_kinematics(robot.chain, in_range(robot, 1)[0]))).reachable
     far = solve(robot, point_target((1.0, 0.0, 0.0)))
     assert not far.reachable

@@ -75,7 +75,7 @@ def test_joint_ranges_shrink_the_map() -> None:
     assert not (narrow.reachable & ~wide.reachable).any()
     assert narrow.reachable.sum() < wide.reachable.sum()
     with pytest.raises(ConfigError, match="no closed form"):
-        reachability(dataclasses.replace(robot, make_closed_form=None), points)
+        reachability(dataclasses.replace(robot, closes=False), points)
 
 
 # ---------------------------------------------------------------------------------------------------- the swept annulus

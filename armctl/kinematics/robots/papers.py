@@ -10,7 +10,6 @@ from typing import Literal
 
 from armctl.kinematics.chain import DHRow, SerialChain
 from armctl.kinematics.robots.robot import Robot
-from armctl.kinematics.structure import closed_form
 
 Rows = tuple[tuple[str, float, str], ...]
 
@@ -30,7 +29,7 @@ def _robot(
         links = tuple(DHRow(at[a], math.radians(alpha), at[d]) for a, alpha, d in rows)
         return SerialChain(links, convention, tool_m=at[tool])
 
-    return Robot(name, source, lengths_m, chain, lambda lengths: closed_form(chain(lengths)), ranges_deg)
+    return Robot(name, source, lengths_m, chain, ranges_deg)
 
 
 # The gripping arm of Xiangtan: a waist, three parallel pitch joints, a hand that turns about its own axis. Lengths are

@@ -13,7 +13,6 @@ import numpy as np
 from armctl.config import ChainTable
 from armctl.kinematics.chain import DHRow, SerialChain
 from armctl.kinematics.robots.robot import Robot
-from armctl.kinematics.structure import closed_form
 from armctl.kinematics.transform import FloatArray, matrix_from_rpy
 
 
@@ -26,15 +25,7 @@ def robot_of(table: ChainTable, name: str, ranges_deg: tuple[tuple[float, float]
     numbered = [(f"{key}{i}", getattr(row, f"{key}_m")) for i, row in enumerate(table.dh, 1) for key in "abd"]
     tool = zip(("tool_x", "tool_y", "tool_z"), table.tool_m, strict=True)
     lengths_m = {key: float(length) for key, length in chain(numbered, tool) if length}
-    make_chain = _maker(table)
-    return Robot(
-        name=name,
-        source=table.urdf or "a table in the arm's file",
-        lengths_m=lengths_m,
-        make_chain=make_chain,
-        make_closed_form=lambda lengths: closed_form(make_chain(lengths)),
-        ranges_deg=ranges_deg,
-    )
+    return Robot(name, table.urdf or "a table in the arm's file", lengths_m, _maker(table), ranges_deg)
 
 
 def _maker(table: ChainTable) -> Callable[[dict[str, float]], SerialChain]:
