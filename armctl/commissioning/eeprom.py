@@ -24,7 +24,7 @@ from armctl.dynamixel import ax12a
 from armctl.dynamixel.ax12a import Register
 from armctl.dynamixel.bus import PORT_GONE, ServoBus
 from armctl.dynamixel.fitness import ServoJoint, unfit_registers
-from armctl.dynamixel.identify import IDENTIFY_LATENCY_MS
+from armctl.dynamixel.identify import IDENTIFY_LATENCY_MS, answers_twice
 from armctl.errors import ConfigError, PortGone, RequestRefused
 from armctl.files import read_text
 from armctl.messages import Write
@@ -305,7 +305,7 @@ def require_writable(bus: ServoBus, servo_id: int) -> None:
         PortGone: the port vanished.
     """
     bus.port.allow_latency(IDENTIFY_LATENCY_MS)
-    if bus.answers_twice(servo_id):
+    if answers_twice(bus, servo_id):
         text = "two servos answer to this id; connect them one at a time and give each its own"
         raise RequestRefused("DUPLICATE_ID", f"servo {servo_id}: {text}")
     status = read_table(bus, servo_id, ax12a.STATUS_BEGIN, ax12a.STATUS_SIZE)

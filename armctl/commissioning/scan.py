@@ -17,7 +17,7 @@ from typing import Literal
 
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.bus import ServoBus
-from armctl.dynamixel.identify import IDENTIFY_LATENCY_MS
+from armctl.dynamixel.identify import IDENTIFY_LATENCY_MS, answers_twice
 from armctl.dynamixel.packet import OVERHEAD_BYTES, Decoder, Instruction, Packet, encode_instruction
 from armctl.dynamixel.port import ADAPTER_LATENCY_MS, ServoPort
 from armctl.errors import PortGone, PortMissing
@@ -77,7 +77,7 @@ def scan(
 
 def _look_at(bus: ServoBus, servo_id: int, kind: str, elapsed_ns: int) -> FoundServo | None:
     reply = bus.read_block(servo_id, ax12a.MODEL.address, 3)
-    clash = bus.answers_twice(servo_id)
+    clash = answers_twice(bus, servo_id)
     if not bus.is_open:
         raise PortGone(f"{bus.port.port_name}: the port vanished during the scan; plug the adapter in again")
     if reply.problem and (kind == "echo" or (kind == "noise" and not clash)):

@@ -24,9 +24,8 @@ from dataclasses import dataclass, replace
 
 from dynamixel_sdk import COMM_RX_TIMEOUT, COMM_SUCCESS, COMM_TX_FAIL
 
-from armctl.dynamixel import ax12a, identify
+from armctl.dynamixel import ax12a
 from armctl.dynamixel.ax12a import IMPOSSIBLE_BITS, ErrorBit, Register, Seen, believable, position_tick
-from armctl.dynamixel.fitness import ServoJoint
 from armctl.dynamixel.packet import BROADCAST_ID, HEADER, OVERHEAD_BYTES, Instruction, encode_instruction
 from armctl.dynamixel.port import ADAPTER_LATENCY_MS, DRAIN_ROUNDS, NS_PER_MS, QUIET_MS, ServoPort
 from armctl.dynamixel.reply import BUS_NOISE as BUS_NOISE
@@ -34,7 +33,7 @@ from armctl.dynamixel.reply import NO_REPLY as NO_REPLY
 from armctl.dynamixel.reply import PORT_GONE as PORT_GONE
 from armctl.dynamixel.reply import Reply as Reply
 from armctl.errors import PortGone
-from armctl.messages import Goal, Problem, Sample, ServoReading, Write
+from armctl.messages import Goal, Sample, ServoReading, Write
 
 SAMPLE_RETRIES = 2
 # Long enough (0.5 s at 10 Hz) that a servo which restarts after a brown-out, 0.3 s, is heard as soon as it speaks.
@@ -81,13 +80,8 @@ class ServoBus:
         self.firmware: tuple[int, ...] = ()
         # What samples allow the adapter.
         self.latency_ms = ADAPTER_LATENCY_MS
-        self._tracks = [
-            _Track(
-                encode_instruction(servo_id, Instruction.READ, bytes(STATUS_BLOCK)),
-                ServoReading(servo_id, b"", 0, False),
-            )
-            for servo_id in self.servo_ids
-        ]
+        reads = [encode_instruction(servo_id, Instruction.READ, bytes(STATUS_BLOCK)) for servo_id in servo_ids]
+        self._tracks = [_Track(read, ServoReading(read[2], b"", 0, False)) for read in reads]
         self._sample_count = 0
         # Why it is not open.
         self.closed_because = f"{port.port_name}: the bus is closed; open it first"
@@ -189,37 +183,20 @@ class ServoBus:
     def read(self, servo_id: int, register: Register) -> int | None:
         """Value of one register; None: no good reply."""
         begin = max(0, register.address - 1)  # three bytes, never two: rule 6
-        reply = self._read(servo_id, begin, 3)
+        reply = self.read_block(servo_id, begin, 3)
         return None if reply.problem else ax12a.register_value(register, reply.data, begin)
 
-    def read_block(self, servo_id: int, begin: int, size: int) -> Reply:
+    def read_block(self, servo_id: int, begin: int, size: int, tries: int = 2) -> Reply:
         """Bytes of a servo's control table, with its error bits and the time it took; trouble is in the reply.
 
+        Args:
+            tries: How often it is asked for while the reply is bad or missing.
         Raises:
             ValueError: two bytes asked for (rule 6), or no such servo id.
         """
         if size == 2:
             raise ValueError("a read of two bytes looks like a reply to itself; read three")
-        return self._read(servo_id, begin, size)
-
-    def read_once(self, servo_id: int, begin: int, size: int) -> Reply:
-        """As `read_block`, and a bad or missing reply is not asked for again."""
-        return self._read(servo_id, begin, size, tries=1)
-
-    def answers_twice(self, servo_id: int) -> bool:
-        """See `identify.answers_twice`; with the port's present allowance for the adapter."""
-        steps = identify.answers_twice(self, servo_id)
-        try:
-            while True:
-                next(steps)
-        except StopIteration as end:
-            return bool(end.value)
-
-    # ------------------------------------------------------------------------------------------- connecting
-
-    def identify(self, joints: Sequence[ServoJoint]) -> tuple[Problem, ...]:
-        """See `identify.identify`; at one go, up to 50 ms a silent servo and as much to make sure."""
-        return identify.Identification(self, joints).advance() or ()
+        return self._ask(servo_id, Instruction.READ, bytes((begin, size)), size, tries)
 
     def allow_latency(self, latency_ms: float) -> None:
         """From now on wait so much longer for a reply in samples, because the adapter may keep it back."""
@@ -252,9 +229,6 @@ class ServoBus:
     def _miss(self, track: _Track, problem: str) -> None:
         track.misses = track.misses + 1 if problem == NO_REPLY else 0
         track.reading = replace(track.reading, fresh=False, problem=problem)
-
-    def _read(self, servo_id: int, begin: int, size: int, tries: int = 2) -> Reply:
-        return self._ask(servo_id, Instruction.READ, bytes((begin, size)), size, tries)
 
     def _ask(self, servo_id: int, instruction: int, parameters: bytes, reply_size: int, tries: int = 2) -> Reply:
         """The first good reply to a request that belongs to no sample, or the last bad one.

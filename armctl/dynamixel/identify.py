@@ -11,20 +11,13 @@ Rules:
 
 from collections.abc import Generator, Sequence
 from statistics import median
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 from armctl.dynamixel import ax12a
+from armctl.dynamixel.bus import ServoBus
 from armctl.dynamixel.fitness import ServoJoint, bus_dead, duplicate_id, servo_silent, slow_adapter, table_problems
 from armctl.dynamixel.packet import OVERHEAD_BYTES
-from armctl.dynamixel.port import (
-    ADAPTER_LATENCY_MS,
-    DRAIN_ROUNDS,
-    MARGIN_MS,
-    NS_PER_MS,
-    QUIET_MS,
-    RETURN_DELAY_WORST_US,
-    ServoPort,
-)
+from armctl.dynamixel.port import ADAPTER_LATENCY_MS, MARGIN_MS, NS_PER_MS, QUIET_MS, RETURN_DELAY_WORST_US
 from armctl.dynamixel.reply import BUS_NOISE, NO_REPLY, PORT_GONE, Reply
 from armctl.messages import Problem
 
@@ -55,24 +48,10 @@ T = TypeVar("T")
 Steps = Generator[int, None, T]
 
 
-class Bus(Protocol):
-    """What identifying needs of the bus."""
-
-    port: ServoPort
-    is_open: bool
-    closed_because: str
-    latency_ms: float
-    firmware: tuple[int, ...]
-
-    def allow_latency(self, latency_ms: float) -> None: ...
-    def read_once(self, servo_id: int, begin: int, size: int) -> Reply: ...
-    def drain(self, quiet_ms: float = QUIET_MS, rounds: int = DRAIN_ROUNDS) -> int: ...
-
-
 class Identification:
     """Identifying the servos of an arm, now and then a little."""
 
-    def __init__(self, bus: Bus, joints: Sequence[ServoJoint]) -> None:
+    def __init__(self, bus: ServoBus, joints: Sequence[ServoJoint]) -> None:
         self._port, self._steps = bus.port, identify(bus, joints)
         self._needs_ns = next(self._steps)
 
@@ -94,7 +73,7 @@ class Identification:
             return found
 
 
-def identify(bus: Bus, joints: Sequence[ServoJoint]) -> Steps[tuple[Problem, ...]]:
+def identify(bus: ServoBus, joints: Sequence[ServoJoint]) -> Steps[tuple[Problem, ...]]:
     """Everything that makes this bus unfit for an arm with these joints; empty: fit.
 
     Also measures the adapter's latency, and says in `bus.firmware` what the servos run.
@@ -104,7 +83,7 @@ def identify(bus: Bus, joints: Sequence[ServoJoint]) -> Steps[tuple[Problem, ...
     return tuple(problems) if bus.is_open else (Problem(PORT_GONE, bus.closed_because),)
 
 
-def _problems(bus: Bus, joints: Sequence[ServoJoint]) -> Steps[list[Problem]]:
+def _problems(bus: ServoBus, joints: Sequence[ServoJoint]) -> Steps[list[Problem]]:
     port, tables = bus.port, list[Reply]()
     for joint in joints:
         tables.append((yield from _read_table(bus, joint, tries=2)))
@@ -126,14 +105,14 @@ def _problems(bus: Bus, joints: Sequence[ServoJoint]) -> Steps[list[Problem]]:
     for joint, table in zip(joints, tables, strict=True):
         if table.problem == NO_REPLY:
             problems.append(servo_silent(joint))
-        elif table.problem or (yield from answers_twice(bus, joint.servo_id)):
+        elif table.problem or (yield from _answers_twice(bus, joint.servo_id)):
             problems.append(duplicate_id(joint))
         else:
             problems += table_problems(joint, table.data, port.port_name)
     return problems
 
 
-def _adapter_problems(bus: Bus, joints: Sequence[ServoJoint], tables: Sequence[Reply]) -> Steps[list[Problem]]:
+def _adapter_problems(bus: ServoBus, joints: Sequence[ServoJoint], tables: Sequence[Reply]) -> Steps[list[Problem]]:
     """Judge the adapter by its faster replies, less wire time and that servo's own return delay.
 
     By the lower quartile: a busy machine is slow now and then, a slow adapter is fast now and then, when a reply
@@ -163,11 +142,20 @@ def _adapter_problems(bus: Bus, joints: Sequence[ServoJoint], tables: Sequence[R
     return []
 
 
-def answers_twice(bus: Bus, servo_id: int) -> Steps[bool]:
+def answers_twice(bus: ServoBus, servo_id: int) -> bool:
     """Whether more than one servo answers to an id: replies with changing content collide, or follow each other.
 
-    As far as their replies differ; False without a port.
+    As far as their replies differ; False without a port. With the port's present allowance for the adapter.
     """
+    steps = _answers_twice(bus, servo_id)
+    try:
+        while True:
+            next(steps)
+    except StopIteration as end:
+        return bool(end.value)
+
+
+def _answers_twice(bus: ServoBus, servo_id: int) -> Steps[bool]:
     doubled = 0
     for _ in range(DUPLICATE_PROBES):
         doubled += yield from _is_doubled(bus, servo_id)
@@ -183,26 +171,26 @@ def answers_twice(bus: Bus, servo_id: int) -> Steps[bool]:
     return True
 
 
-def _is_doubled(bus: Bus, servo_id: int) -> Steps[bool]:
+def _is_doubled(bus: ServoBus, servo_id: int) -> Steps[bool]:
     yield _needs_ns(bus, STATUS_BLOCK, bus.latency_ms)
-    reply = bus.read_once(servo_id, *STATUS_BLOCK)
+    reply = bus.read_block(servo_id, *STATUS_BLOCK, tries=1)
     return reply.problem == BUS_NOISE or bus.drain() > 0
 
 
-def _read_table(bus: Bus, joint: ServoJoint, tries: int = 1) -> Steps[Reply]:
+def _read_table(bus: ServoBus, joint: ServoJoint, tries: int = 1) -> Steps[Reply]:
     """A servo's EEPROM, at a slow adapter's pace."""
     reply = Reply(problem=NO_REPLY)
     for _ in range(tries):
         yield _needs_ns(bus, EEPROM, IDENTIFY_LATENCY_MS)
         bus.port.allow_latency(IDENTIFY_LATENCY_MS)
-        reply = bus.read_once(joint.servo_id, *EEPROM)
+        reply = bus.read_block(joint.servo_id, *EEPROM, tries=1)
         bus.port.allow_latency(bus.latency_ms)
         if not reply.problem:
             break
     return reply
 
 
-def _silence(bus: Bus, quiet_ms: float) -> Steps[None]:
+def _silence(bus: ServoBus, quiet_ms: float) -> Steps[None]:
     """Listen until the line has been silent for so long, all in all; one that goes on speaking is not waited for."""
     silent_ms = 0.0
     for _ in range(LISTENINGS):
@@ -212,11 +200,11 @@ def _silence(bus: Bus, quiet_ms: float) -> Steps[None]:
             return
 
 
-def _wire_ns(bus: Bus, block: tuple[int, int]) -> int:
+def _wire_ns(bus: ServoBus, block: tuple[int, int]) -> int:
     return (2 * OVERHEAD_BYTES + 2 + block[1]) * bus.port.byte_ns
 
 
-def _needs_ns(bus: Bus, block: tuple[int, int], latency_ms: float) -> int:
+def _needs_ns(bus: ServoBus, block: tuple[int, int], latency_ms: float) -> int:
     """How long a read takes that nobody answers, until the line has fallen quiet."""
     waited_ms = RETURN_DELAY_WORST_US / 1000.0 + latency_ms + MARGIN_MS + QUIET_MS
     return _wire_ns(bus, block) + 4 * bus.port.byte_ns + round(waited_ms * NS_PER_MS)

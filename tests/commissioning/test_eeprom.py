@@ -9,6 +9,7 @@ from armctl.commissioning import eeprom
 from armctl.commissioning.eeprom import Difference
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.bus import ServoBus
+from armctl.dynamixel.identify import Identification
 from armctl.errors import ConfigError, PortGone, RequestRefused
 from tests.commissioning.bench import Bench, unwritten
 from tests.host.doubles import refused
@@ -95,7 +96,7 @@ def test_twins_that_read_alike_are_told_after_the_fact(monkeypatch: pytest.Monke
     """Only one of two servos hears the write: the old id still answers."""
     bench = deaf(monkeypatch, lambda bench: bench.servos[2].set(ax12a.ID, 9))
     bench.servos[3].set(ax12a.ID, 3)
-    monkeypatch.setattr(bench.bus, "answers_twice", lambda servo_id: False)
+    monkeypatch.setattr(eeprom, "answers_twice", lambda *_: False)
     monkeypatch.setattr(eeprom, "read_table", lambda *_: bytes(26))
     with pytest.raises(RequestRefused, match="there were two of them"):
         eeprom.set_id(bench.bus, 3, 9)
@@ -224,14 +225,16 @@ def test_what_identify_refuses_is_mended_and_nothing_else_is_written(bench: Benc
         assert eeprom.mend(bench.bus, joints) == []
     for register, value in WRONG.items():
         bench.servos[3].set(register, value)
-    assert ("EEPROM_MISMATCH", 4) in {(problem.code, problem.servo_id) for problem in bench.bus.identify(joints)}
+    assert ("EEPROM_MISMATCH", 4) in {
+        (problem.code, problem.servo_id) for problem in Identification(bench.bus, joints).advance() or ()
+    }
     done = eeprom.mend(bench.bus, joints[3:4])
     assert {(it.register, it.found) for it in done} == {(register.name, value) for register, value in WRONG.items()}
     assert bench.servos[3].get(ax12a.SHUTDOWN) == 37
     bench.servos[3].set(ax12a.SHUTDOWN, 36)
     bench.servos[3].set(ax12a.TEMPERATURE_LIMIT, 70)
     assert registers(bench, eeprom.EEPROM_REGISTERS) == fit
-    assert not any(problem.code == "EEPROM_MISMATCH" for problem in bench.bus.identify(joints))
+    assert not any(problem.code == "EEPROM_MISMATCH" for problem in Identification(bench.bus, joints).advance() or ())
 
 
 def test_no_servo_is_mended_while_one_of_them_must_not_be_written(bench: Bench) -> None:

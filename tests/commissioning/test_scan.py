@@ -101,9 +101,9 @@ def test_a_vanished_port_is_raised(bench: Bench) -> None:
 def test_a_port_that_vanishes_before_the_read_is_raised(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     read = bench.bus.read_block
 
-    def unplug(servo_id: int, begin: int, size: int) -> Reply:
+    def unplug(servo_id: int, begin: int, size: int, tries: int = 2) -> Reply:
         bench.port.unplug()
-        return read(servo_id, begin, size)
+        return read(servo_id, begin, size, tries)
 
     monkeypatch.setattr(bench.bus, "read_block", unplug)
     with pytest.raises(PortGone, match="during the scan"):

@@ -32,11 +32,11 @@ def test_a_servo_turns_up_and_back_weakly_within_its_walls_and_is_limp_again(ben
     seen: list[tuple[int, int, int]] = []
     read, base = bench.bus.read_block, bench.servos[0]
 
-    def look(*request: int) -> object:
+    def look(*request: int, **tries: int) -> object:
         if base.torque_enabled:
             registers = (ax12a.TORQUE_LIMIT, ax12a.CW_LIMIT, ax12a.PRESENT_POSITION)
             seen.append((base.get(registers[0]), base.get(registers[1]), base.get(registers[2])))
-        return read(*request)
+        return read(*request, **tries)
 
     bench.bus.read_block = look  # type: ignore[method-assign, assignment]
     before = base.position_tick
@@ -65,10 +65,10 @@ def test_one_that_is_held_gets_half_its_torque_at_most_and_is_limp_again(bench: 
 def test_a_port_that_vanishes_in_a_wiggle_is_told(bench: Bench) -> None:
     read, left = bench.bus.read_block, iter(range(20))
 
-    def pulled(*request: int) -> object:
+    def pulled(*request: int, **tries: int) -> object:
         if next(left, None) is None:
             bench.port.unplug()
-        return read(*request)
+        return read(*request, **tries)
 
     bench.bus.read_block = pulled  # type: ignore[method-assign, assignment]
     with pytest.raises(PortGone):

@@ -1,17 +1,19 @@
 """A scripted transport that answers real protocol bytes in virtual time, the bus over it, and ways to spoil a reply."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import pytest
 
 from armctl.clock import VirtualClock
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.bus import ServoBus
+from armctl.dynamixel.fitness import ServoJoint
+from armctl.dynamixel.identify import Identification
 from armctl.dynamixel.packet import encode_status
 from armctl.dynamixel.port import ServoPort
 from armctl.errors import PortGone
 from armctl.files import load_arm
-from armctl.messages import Sample
+from armctl.messages import Problem, Sample
 
 ARM = load_arm("ax12-line")
 BYTE_NS = 10_000
@@ -148,6 +150,10 @@ class ScriptedBus(ServoBus):
     def __init__(self, *servo_ids: int) -> None:
         super().__init__(ScriptedPort(servo_ids, VirtualClock()), servo_ids)
         self.open()
+
+    def identify(self, joints: Sequence[ServoJoint]) -> tuple[Problem, ...]:
+        """What identifying them at one go finds unfit."""
+        return Identification(self, joints).advance() or ()
 
     def next_sample(self) -> Sample:
         """That of the next tick."""

@@ -6,6 +6,7 @@ import pytest
 
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.bus import NO_REPLY, PORT_GONE
+from armctl.dynamixel.identify import answers_twice
 from armctl.messages import Goal, Write
 from tests.dynamixel.conftest import ARM, ScriptedBus, at
 
@@ -40,7 +41,7 @@ def test_closed_bus_answers_everything_with_data(bus: ScriptedBus) -> None:
     assert not bus.write(TORQUE_ON)
     assert bus.read(1, ax12a.MODEL) is None
     assert bus.read_block(1, 0, 3).problem == PORT_GONE
-    assert not bus.answers_twice(1)
+    assert not answers_twice(bus, 1)
     assert [problem.code for problem in bus.identify(ARM.joints)] == [PORT_GONE]
     assert bus.port.requests == []
 
@@ -62,7 +63,7 @@ def test_every_way_the_port_can_vanish_leaves_is_using_false(bus: ScriptedBus) -
         lambda: bus.write_goal(GOAL),
         lambda: bus.write(TORQUE_ON),
         lambda: bus.read(1, ax12a.GOAL),
-        lambda: bus.answers_twice(1),
+        lambda: answers_twice(bus, 1),
         lambda: bus.identify(ARM.joints),
     ]
     for call in calls:

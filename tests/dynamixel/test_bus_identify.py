@@ -4,6 +4,7 @@ import pytest
 
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.ax12a import Register
+from armctl.dynamixel.identify import answers_twice
 from armctl.dynamixel.servos import MODELS, ServoModel
 from tests.dynamixel.conftest import ARM, FINE, LOST, ScriptedBus, Spoil, bad_checksum, echo, good_after
 
@@ -145,6 +146,6 @@ def test_slow_adapter_is_told_from_a_usual_one_and_from_a_dead_bus_and_still_rea
 
 def test_colliding_replies_answer_twice_and_others_do_not(bus: ScriptedBus) -> None:
     bus.port.spoils[3] = [bad_checksum] * 10
-    assert bus.answers_twice(3)
-    assert not bus.answers_twice(2)
-    assert not bus.answers_twice(77)
+    assert answers_twice(bus, 3)
+    assert not answers_twice(bus, 2)
+    assert not answers_twice(bus, 77)

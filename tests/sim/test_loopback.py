@@ -4,6 +4,7 @@ import pytest
 
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.ax12a import Register
+from armctl.dynamixel.identify import Identification
 from armctl.messages import Sample
 from armctl.sim.faults import Fault
 from tests.commissioning.bench import Bench
@@ -38,7 +39,8 @@ def test_position_read_is_where_the_arm_is(bench: Bench) -> None:
 
 
 def found(bench: Bench) -> list[tuple[str, int | None]]:
-    return [(problem.code, problem.servo_id) for problem in bench.bus.identify(bench.config.joints)]
+    problems = Identification(bench.bus, bench.config.joints).advance() or ()
+    return [(problem.code, problem.servo_id) for problem in problems]
 
 
 @pytest.mark.parametrize(
