@@ -114,8 +114,8 @@ def _since(s: Tick, since_ns: tuple[int, ...], over: Sequence[bool]) -> tuple[in
 def _detect_torque(s: Tick) -> None:
     """Torque of a servo that is meant to be limp and was seen so; it is to push against nothing."""
     stiff = s.state.letting_go.stiff if s.state.letting_go else ()
-    for i, (servo, reading) in enumerate(zip(s.servos, s.inputs.sample.servos, strict=True)):
-        if reading.fresh and servo is not None and servo.torque_enabled and i not in stiff:
+    for i in range(len(s.wire)):
+        if i not in stiff and (servo := s.heard(i)) and servo.torque_enabled:
             s.latch_servo("NOT_LIMP", i, "torque is on although the arm is limp, and not from here")
             keep_here(s, i)
 
@@ -141,10 +141,9 @@ def _detect_power_faults(s: Tick) -> None:
     state.error_since_ns = since_ns = _since(s, state.error_since_ns, [error > BLOCKED_RAD for error in errors_rad])
     if state.yielded:
         s.found.add("OVERRULED")
-    for i, (servo, reading) in enumerate(zip(s.servos, s.inputs.sample.servos, strict=True)):
-        if servo is None or not reading.fresh or _overruled(s, i, servo):
-            continue
-        if state.yielded:
+    for i in range(len(s.wire)):
+        servo = s.heard(i)
+        if servo is None or _overruled(s, i, servo) or state.yielded:
             continue
         if not s.is_from_here(i):
             found = f"goal {servo.goal} read back, {state.goal[i]} sent"

@@ -37,12 +37,7 @@ def switch_off(s: Tick) -> None:
     """Torque off, until every servo has been seen limp since it was decided; for an arm that is being let go."""
     going, now_ns = s.state.letting_go, s.inputs.now_ns
     assert going is not None
-    readings = s.inputs.sample.servos
-    stiff = [
-        i
-        for i, (servo, reading) in enumerate(zip(s.servos, readings, strict=True))
-        if i in going.stiff and (servo is None or servo.torque_enabled or not reading.fresh)
-    ]
+    stiff = [i for i in going.stiff if (servo := s.heard(i)) is None or servo.torque_enabled]
     if not stiff:
         for request_id in going.request_ids:
             s.reply(request_id, True)
@@ -53,7 +48,7 @@ def switch_off(s: Tick) -> None:
     overdue = now_ns - going.since_ns >= LIMP_NS
     for i in stiff:
         # One that stays silent is told again once it is heard: each attempt at it takes milliseconds.
-        if readings[i].fresh or not overdue:
+        if s.heard(i) or not overdue:
             s.write(s.wire[i].servo_id, ax12a.TORQUE_ENABLE, 0)
     s.state.letting_go = replace(going, stiff=tuple(stiff))
     if overdue:
@@ -64,8 +59,7 @@ def _name_the_stiff(s: Tick, index: int) -> None:
     """Tell whoever waits, and the card, which servo is not limp; it is told on."""
     going, joint = s.state.letting_go, s.arm.joints[index]
     assert going is not None
-    heard = s.inputs.sample.servos[index].fresh
-    found = "torque stays on although it is switched off" if heard else "not heard since; it may have torque"
+    found = "torque stays on although it is switched off" if s.heard(index) else "not heard since; it may have torque"
     for request_id in going.request_ids:
         s.reply(request_id, False, "NOT_LIMP", f"servo {joint.servo_id} ({joint.name}): {found}; support the arm")
     s.state.letting_go = replace(going, request_ids=())
@@ -87,9 +81,8 @@ def stay(s: Tick, index: int) -> None:
 
 def holds(s: Tick, index: int) -> Status | None:
     """What a servo says that is heard in this very sample and has torque; None of any other."""
-    servo = s.servos[index]
-    heard = servo is not None and s.inputs.sample.servos[index].fresh
-    return servo if heard and servo is not None and servo.torque_enabled and servo.torque_limit else None
+    servo = s.heard(index)
+    return servo if servo and servo.torque_enabled and servo.torque_limit else None
 
 
 def hold_goals(s: Tick) -> None:

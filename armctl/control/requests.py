@@ -48,23 +48,17 @@ def _carry_out(s: Tick, command: Command) -> str | None:
     match command:
         case messages.Connected():
             _connected(s, command)
-            return None
         case messages.HostLost():
             # As if this process had died with it: no goal after the last, which is one tick ahead at most.
             if state.motion is not None:
                 s.finish_motion("HOST_LOST", "")
             if state.jog is not None:
                 s.finish_jog("HOST_LOST")
-            return None
         case messages.HostSilent():
             s.events.append(Event("warning", "HOST_SILENT", "no word of the daemon for 0.3 s; a motion slows down"))
             _slow_down(s, "HOST_SILENT", "the daemon is silent")
-            return None
-        case messages.Hold(request_id):
-            return _hold(s, request_id)
         case messages.TorqueOn(request_id):
             _torque_on(s, request_id)
-            return None
         case messages.Release(request_id):
             state.target(Trigger.RELEASE)
             s.end_sequence("RELEASED")
@@ -72,18 +66,28 @@ def _carry_out(s: Tick, command: Command) -> str | None:
             if state.motion is not None:
                 s.finish_motion("RELEASED", "")
             s.let_go(request_id)
-            return None
         case messages.Teach(request_id):
             s.go(Trigger.TEACH)
             s.let_go(request_id)
-            return None
-        case messages.TeachEnd():
-            state.target(Trigger.TEACH_END)
-            s.end_sequence("TEACH_ENDED")
-            s.go(Trigger.TEACH_END)
         case messages.Run(request_id, trajectory):
             _run(s, request_id, trajectory)
-            return None
+        case messages.Park(request_id):
+            s.go(Trigger.PARK)
+            state.request_id = request_id
+        case _:
+            return _at_once(s, command)
+    return None
+
+
+def _at_once(s: Tick, command: Command) -> str | None:
+    """As `_carry_out`, of those that are mostly done at once."""
+    match command:
+        case messages.Hold(request_id):
+            return _hold(s, request_id)
+        case messages.TeachEnd():
+            s.state.target(Trigger.TEACH_END)
+            s.end_sequence("TEACH_ENDED")
+            s.go(Trigger.TEACH_END)
         case messages.Pause():
             _under_way(s, "pause").paused = True
         case messages.Resume():
@@ -94,10 +98,6 @@ def _carry_out(s: Tick, command: Command) -> str | None:
             _under_way(s, "rate").wanted_rate = rate
         case messages.Jog():
             (jog.begin if command.begin else jog.heartbeat)(s, command)
-        case messages.Park(request_id):
-            s.go(Trigger.PARK)
-            state.request_id = request_id
-            return None
         case messages.Clear():
             return _clear(s)
         case messages.UseModel(_, model):

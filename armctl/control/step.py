@@ -129,7 +129,7 @@ def _joint_states(
         if servo is None
         else JointState(
             True,
-            joint.direction * (servo.position - joint.zero_tick) * ax12a.TICK_RAD,
+            joint.position_rad(servo.position),
             joint.direction * servo.speed_rad_s,
             joint.direction * servo.load_ratio,
             servo.voltage_V,

@@ -1,9 +1,9 @@
 """What one control step works on, and the few acts that every part of it shares."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from armctl.config import ArmConfig, JointConfig
 from armctl.control.faults import KINDS, with_fault
@@ -11,7 +11,6 @@ from armctl.control.machine import ENERGISING, LATCHED, TO_REST, TRANSITIONS, Le
 from armctl.control.stillness import Shaft, shaft
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.ax12a import Register, Status
-from armctl.kinematics.chain import SerialChain
 from armctl.kinematics.robots.robot import Robot
 from armctl.messages import NS_PER_S, Event, Fault, Goal, Inputs, JointState, LagModel, Reply, Write
 from armctl.trajectory.lag import nominal
@@ -28,12 +27,13 @@ LED_OFF_TICKS = math.radians(12.0) / ax12a.TICK_RAD
 IN_TIME = 0.9
 # Of a period, what a ramp takes that begins at the shaft.
 RAMP_SHARE = 0.1
+Made = TypeVar("Made")
 # Slowest moving speed written (10.7 deg/s): a servo that holds must keep the authority to return to its goal.
 MINIMUM_SPEED_UNITS = 16
 
 
 class WireJoint(NamedTuple):
-    """One joint's configuration in the units of the wire; every tick needs all of it."""
+    """One servo's configuration in the units of the wire; every tick needs all of it."""
 
     servo_id: int
     direction: int
@@ -44,6 +44,14 @@ class WireJoint(NamedTuple):
     speed_limit_units: int
     # Torque limit with which the servo holds.
     full_torque: int
+
+    def tick(self, position_rad: float) -> float:
+        """Servo position [tick, unrounded] of a joint position."""
+        return self.zero_tick + self.direction * position_rad / ax12a.TICK_RAD
+
+    def position_rad(self, tick: float) -> float:
+        """Joint position of a servo position [tick]."""
+        return self.direction * (tick - self.zero_tick) * ax12a.TICK_RAD
 
     def within_limits(self, tick: int) -> int:
         """A position [tick], or the limit that it is beyond."""
@@ -56,27 +64,25 @@ def _wire_joint(joint: JointConfig) -> WireJoint:
     return WireJoint(joint.servo_id, joint.direction, joint.zero_tick, *joint.limits_tick, speed_rad_s, *units)
 
 
-# The joints of the arm that was asked for last: a process has one. It only saves time; the step is as pure without it.
-_latest: tuple[ArmConfig, tuple[WireJoint, ...]] | None = None
+def of_latest_arm(make: Callable[..., Made]) -> Callable[..., Made]:
+    """What is made of an arm, for the one asked for last: a process has one. It only saves time."""
+    latest: list[tuple[ArmConfig, Made]] = []
+
+    def kept(arm: ArmConfig, *more: Any) -> Made:
+        if not latest or latest[0][0] is not arm:
+            latest[:] = [(arm, make(arm, *more))]
+        return latest[0][1]
+
+    return kept
 
 
+@of_latest_arm
 def wire_joints(arm: ArmConfig) -> tuple[WireJoint, ...]:
-    """Every joint of an arm in the units of the wire; worked out once."""
-    global _latest
-    if _latest is None or _latest[0] is not arm:
-        _latest = arm, tuple(_wire_joint(joint) for joint in arm.joints)
-    return _latest[1]
+    """Every joint of an arm in the units of the wire."""
+    return tuple(map(_wire_joint, arm.joints))
 
 
-_latest_model: tuple[ArmConfig, LagModel] | None = None
-
-
-def _nominal(arm: ArmConfig, chain: SerialChain) -> LagModel:
-    """`lag.nominal`, worked out once."""
-    global _latest_model
-    if _latest_model is None or _latest_model[0] is not arm:
-        _latest_model = arm, nominal(arm, chain)
-    return _latest_model[1]
+_nominal = of_latest_arm(nominal)
 
 
 @dataclass(slots=True)
@@ -152,6 +158,10 @@ class Tick:
         readings = [*(ticks[index] for ticks in before), self.status(index).position]
         return shaft(readings if anchor is None else [*map(self.wire[index].within_limits, readings)], anchor)
 
+    def heard(self, index: int) -> Status | None:
+        """What a servo says that was heard in this very sample; None of any other."""
+        return self.servos[index] if self.inputs.sample.servos[index].fresh else None
+
     def here(self, index: int) -> int:
         """Where a shaft is [tick], or the limit that it is just beyond."""
         return self.wire[index].within_limits(self.status(index).position)
@@ -162,8 +172,7 @@ class Tick:
 
     def goals_rad(self) -> tuple[float, ...]:
         """Where the goals are that were decided; empty: there are none."""
-        pairs = zip(self.wire, self.state.goal, strict=False)
-        return tuple([joint.direction * (tick - joint.zero_tick) * ax12a.TICK_RAD for joint, tick in pairs])
+        return tuple([joint.position_rad(tick) for joint, tick in zip(self.wire, self.state.goal, strict=False)])
 
     def wanted_rad(self) -> tuple[float, ...]:
         """Where the joints are wanted; empty: nowhere."""
@@ -172,11 +181,8 @@ class Tick:
 
     def weak_joints(self) -> list[int]:
         """Which joints have torque but too little to hold: whatever switched it on did not come to its end."""
-        return [
-            i
-            for i, (servo, joint) in enumerate(zip(self.servos, self.wire, strict=True))
-            if servo and servo.torque_enabled and servo.torque_limit < joint.full_torque
-        ]
+        both = enumerate(zip(self.servos, self.wire, strict=True))
+        return [i for i, (it, joint) in both if it and it.torque_enabled and it.torque_limit < joint.full_torque]
 
     # ------------------------------------------------------------------------------------------------- faults
 
@@ -288,10 +294,9 @@ class Tick:
 
     def take_over(self) -> None:
         """Take goals and settings of powered servos as they are."""
-        known = [servo for servo in self.servos if servo is not None]
         state = self.state
         self.find_goals()
-        state.settings = tuple(servo.settings for servo in known)
+        state.settings = tuple([servo.settings for servo in self.servos if servo is not None])
         state.error_since_ns = state.push_since_ns = ()
         state.foreign_since_ns, state.foreign_ns, state.yielded, state.powered = 0, 0, False, True
 
@@ -320,10 +325,7 @@ class Tick:
         somebody else writes it, or the latest is withheld because the servo was led off.
         """
         state = self.state
-        shown = [
-            reading.fresh and servo is not None and servo.goal == goal
-            for reading, servo, goal in zip(self.inputs.sample.servos, self.servos, state.goal, strict=True)
-        ]
+        shown = [(it := self.heard(i)) is not None and it.goal == goal for i, goal in enumerate(state.goal)]
         left = [
             (tuple([now if done else was for now, was, done in zip(state.goal, goal, shown, strict=True)]), heard)
             for goal, heard in zip(state.sent, state.heard_since, strict=True)

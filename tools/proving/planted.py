@@ -207,11 +207,11 @@ MUTANTS: tuple[Mutant, ...] = (
         "__joint = __s.arm.joints[__index]\nreturn __s.latch(__code, __text, __joint.servo_id)",
         "__joint = __s.arm.joints[__index - 1]\nreturn __s.latch(__code, __text, __joint.servo_id)")),
     _m("direction is dropped in position", CONTROL, (
-        "__joint.direction * (__servo.position - __joint.zero_tick) * __tick_rad",
-        "(__servo.position - __joint.zero_tick) * __tick_rad")),
+        "__joint.position_rad(__servo.position)",
+        "(__servo.position - __joint.zero_tick) * ax12a.TICK_RAD")),
     _m("a limp arm that has torque is not noticed", CONTROL, (
-        "__reading.fresh and __servo is not None and __servo.torque_enabled and __i not in __stiff",
-        "__reading.fresh and __servo is not None and __servo.torque_enabled > 9")),
+        "__i not in __stiff and (__servo := __s.heard(__i)) and __servo.torque_enabled",
+        "__i not in __stiff and (__servo := __s.heard(__i)) and __servo.torque_enabled > 9")),
     _m("teaching begins before the arm is limp", CONTROL, (
         "__s.go(Trigger.TEACH)\n__s.let_go(__request_id)",
         "__s.go(Trigger.TEACH)\n__s.let_go()\n__s.reply(__request_id, True)\n__s.go(Trigger.LIMP_SEEN)")),
@@ -253,8 +253,8 @@ MUTANTS: tuple[Mutant, ...] = (
         "if __heard or not __overdue:\n    __s.write(__servo_id, ax12a.TORQUE_ENABLE, 0)", "")),
     _m("who is not seen limp is never named", CONTROL, ("LIMP_NS = 500000000", "LIMP_NS = 10**15")),
     _m("one that is not heard counts as limp", CONTROL, (
-        "__i in __going.stiff and (__servo is None or __servo.torque_enabled or not __reading.fresh)",
-        "__i in __going.stiff and __reading.fresh and (__servo is None or __servo.torque_enabled)")),
+        "(__servo := __s.heard(__i)) is None or __servo.torque_enabled",
+        "(__servo := __s.heard(__i)) is not None and __servo.torque_enabled")),
     _m("goals are sent while one is let go", CONTROL,
        ("if __s.state.letting_go is not None:\n    return\n__goal = __clamped", "__goal = __clamped"),
        ("__s.state.letting_go = replace(__going, stiff=tuple(__stiff))\nif __overdue:\n    ...",
