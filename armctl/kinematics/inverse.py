@@ -1,7 +1,7 @@
 """Numeric inverse kinematics for any chain: damped least squares on the tool's position, or on its whole pose.
 
-Levenberg-Marquardt: the damping falls while steps help and rises when one does not. A pose that one start does not
-reach is tried from others. Position errors count in units of the arm's length, so that a turn does not outweigh them.
+Levenberg-Marquardt: the damping falls while steps help and rises when one does not. Position errors count in units of
+the arm's length, so that a turn does not outweigh them.
 """
 
 import math
@@ -16,10 +16,6 @@ from armctl.kinematics.transform import FloatArray, rotation_error
 TURN_RAD = 2.0 * np.pi - 1e-9
 # Largest error, in arm lengths and radians, at which a pose is refined no further.
 REFINED = 1e-13
-# A pose is tried from at most so many starts.
-MOST_STARTS = 40
-# A pose is tried from no further start once its errors [m, rad] are no larger.
-SOLVED = 1e-9
 
 
 def solve_position(
@@ -176,46 +172,6 @@ def refine_poses(
         q[chosen], error[chosen], cost[chosen] = candidate[better], candidate_error[better], candidate_cost[better]
         damping[active] = np.where(better, np.maximum(damping[active] * 0.1, 1e-15), damping[active] * 10.0)
     return within_a_turn(q, limits)
-
-
-def solve_poses(
-    chain: SerialChain,
-    T: FloatArray,
-    limits: FloatArray,
-    rng: np.random.Generator,
-    *,
-    q_start: FloatArray | None = None,
-    turned: bool = True,
-    direction: FloatArray | None = None,
-) -> FloatArray:
-    """Joint configurations for poses of any chain: the first start as given, then random ones within the limits.
-
-    Args:
-        T: Wanted tool poses, shape (m, 4, 4).
-        limits: Lowest and highest position [rad], shape (n, 2).
-        q_start: First starts [rad], shape (m, n); random if not given.
-        turned, direction: As `refine_poses`.
-    Returns:
-        q, shape (m, n): the best found; `pose_errors` tells how good it is.
-    """
-    best = np.empty((len(T), chain.n))
-    best_cost = np.full(len(T), np.inf)
-    open_poses = np.arange(len(T))
-    for attempt in range(MOST_STARTS):
-        if attempt == 0 and q_start is not None:
-            starts = np.asarray(q_start, dtype=np.float64)
-        else:
-            starts = rng.uniform(limits[:, 0], limits[:, 1], (len(open_poses), chain.n))
-        q = refine_poses(chain, T[open_poses], starts, limits, turned=turned, direction=direction)
-        position, turn = pose_errors(chain, q, T[open_poses], direction)
-        turn = turn * turned
-        cost = np.hypot(position, turn)
-        better = cost < best_cost[open_poses]
-        best[open_poses[better]], best_cost[open_poses[better]] = q[better], cost[better]
-        open_poses = open_poses[(position > SOLVED) | (turn > SOLVED)]
-        if not len(open_poses):
-            break
-    return best
 
 
 def within_a_turn(q: FloatArray, limits: FloatArray) -> FloatArray:

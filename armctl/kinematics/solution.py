@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl.errors import ConfigError
-from armctl.kinematics.chain import jacobian, tool_position
-from armctl.kinematics.inverse import TURN_RAD, masked_jacobian, pose_errors, refine_poses, solve_poses, within_a_turn
+from armctl.kinematics.chain import tool_position
+from armctl.kinematics.inverse import TURN_RAD, masked_jacobian, pose_errors, refine_poses, within_a_turn
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.structure import ClosedForm
 from armctl.kinematics.target import Target
@@ -33,8 +33,12 @@ SAME_RAD = 1e-6
 NEAR_RAD = 1e-2
 # Below this share of the largest singular value the joints can move while the tool stays.
 SINGULAR = 1e-6
-# How many starts a search has where no formula helps, and how often what it found is moved nearer.
-STARTS, NEARER_STEPS = 64, 12
+# Starts of a search where no formula helps, and how often it begins anew where nothing within limits is found.
+STARTS, ROUNDS = 64, 3
+# Of a branch that leaves a family so many members, and of what a search finds so many, are slid nearer.
+MEMBERS, FOUND = 6, 24
+# How often; what a joint's being beyond its limit costs beside travel.
+SLIDES, BEYOND = 24, 100.0
 
 
 @dataclass(frozen=True)
@@ -124,13 +128,10 @@ def solve(
     if limits.shape != (robot.chain.n, 2) or present.shape != (robot.chain.n,):
         shapes = f"present {present.shape}, limits {limits.shape}"
         raise ConfigError(robot.name, "q", shapes, f"the chain has {robot.chain.n} joints")
-    closed = method == "closed" and robot.closed_form is not None and target.direction is None
-    if closed and target.turned and (alone := _alone(robot, target, present, limits)) is not None:
+    form = robot.closed_form if method == "closed" and target.direction is None else None
+    if form and target.turned and (alone := _alone(form, robot, target, present, limits)) is not None:
         return alone
-    if closed:
-        q, least = _closed(robot, target, present, limits)
-    else:
-        q, least = _numeric(robot, target, present, limits, seed)
+    q, least = _found(form, robot, target, present, limits, seed)
     found = answer(robot, target, q, present, limits, least=least, polish=polish)
     if not (stands and within_limits(present, limits)):
         return found
@@ -161,23 +162,19 @@ def answer(
     inside = within_limits(q[keep], limits)
     misses = np.zeros(len(keep)) if reached.any() else np.round(position_m + turn_rad, 9)[keep]
     order = keep[np.lexsort((weighted_travel(q[keep], present, limits), ~inside, misses))]
-    solutions: list[Solution] = []
-    for i in order:
-        if not any(np.abs(q[i] - other.q_rad).max() < 1e-9 for other in solutions):
-            within = bool(within_limits(q[i], limits))
-            solutions.append(Solution(tuple(q[i].tolist()), within, _judge(robot, target)))
+    judge = _judge(robot, target)
+    solutions = [Solution(tuple(one.tolist()), bool(within_limits(one, limits)), judge) for one in _distinct(q[order])]
     return Answer(bool(reached.any()), least, tuple(solutions))
 
 
-def _alone(robot: Robot, target: Target, present: FloatArray, limits: FloatArray) -> Answer | None:
+def _alone(form: ClosedForm, robot: Robot, target: Target, present: FloatArray, limits: FloatArray) -> Answer | None:
     """Every solution of a pose by its closed form in plain floats.
 
     None where the pose is singular or a family, none is within limits, or the arm may be there already.
     """
-    assert robot.closed_form is not None
     ranges, turn = [(*ends, here) for ends, here in zip(limits.tolist(), present.tolist(), strict=True)], 2.0 * math.pi
     found = []
-    for angles in robot.closed_form.pose(target.T.tolist()):
+    for angles in form.pose(target.T.tolist()):
         q, inside, travel, weight = [], True, 0.0, 1.0
         for at, (low, high, here) in zip(angles, ranges, strict=True):
             for near in (at, at + turn, at - turn):
@@ -205,115 +202,105 @@ def _judge(robot: Robot, target: Target) -> Callable[[tuple[float, ...]], tuple[
     return judge
 
 
-def _closed(robot: Robot, target: Target, present: FloatArray, limits: FloatArray) -> tuple[FloatArray, float]:
-    form = robot.closed_form
-    assert form is not None
-    families = form.pose_families(target.T) if target.turned else form.positions(target.position_m[None])[0]
-    if families.shape[1] == 1:
-        q = finite(families)
-    else:
-        q = np.array([_best(finite(family), present, limits) for family in families if np.isfinite(family).any()])
-    if len(q) and _errors(robot, target, q)[2].any():
-        if target.turned:
-            q = _slid(robot, target, q, present, limits)
-        if families.shape[1] > 1 and not within_limits(within_a_turn(q, limits), limits).any():
-            # Members of families lie in steps: between two of them there may be one within the limits.
-            return np.vstack([q, _from_many(robot, target, finite(families), present, limits)]), 0.0
-        return q, 0.0
-    q, least = _nearest(form, target)
-    return _numeric(robot, target, present, limits, 0) if least == 0.0 and not target.turned else (q, least)
-
-
-def _slid(robot: Robot, target: Target, q: FloatArray, present: FloatArray, limits: FloatArray) -> FloatArray:
-    """Configurations of a pose, shape (k, n); of a singular one the best of those into which it can move.
-
-    There the joints can move and the tool stays. Along that motion the places are tried at which a joint is where it is
-    at present or at its limits: between two of them nothing gets better.
-    """
-    _, values, directions = np.linalg.svd(jacobian(robot.chain, q))
-    for k in np.flatnonzero(values[:, -1] <= SINGULAR * values[:, 0]).tolist():
-        q[k] = _along(robot, target, q[k], directions[k, -1], present, limits)
-    return q
-
-
-def _along(
-    robot: Robot, target: Target, q: FloatArray, way: FloatArray, present: FloatArray, limits: FloatArray
-) -> FloatArray:
-    """The best of the configurations that a singular one, shape (n,), can move into along a way."""
-    moving = np.flatnonzero(np.abs(way) > SINGULAR)
-    ends = np.stack([present, *limits.T])[:, moving]
-    turns = (ends - q[moving] + np.pi) % (2.0 * np.pi) - np.pi
-    steps = np.concatenate([turns, turns - np.copysign(2.0 * np.pi, turns)]) / way[moving]
-    slid = q + steps.reshape(-1, 1) * way
-    slid = slid[np.abs(slid - q).max(axis=1) <= 2.0 * np.pi]
-    T = np.broadcast_to(target.T, (len(slid), 4, 4))
-    slid = refine_poses(robot.chain, T, slid, _whole_turns(robot), turned=True)
-    return _best(np.vstack([q, slid[_errors(robot, target, slid)[2]]]), present, limits)
-
-
-def _from_many(
-    robot: Robot, target: Target, starts: FloatArray, present: FloatArray, limits: FloatArray, seed: int = 0
-) -> FloatArray:
-    """Configurations within limits that reach the target, found from many starts, shape (k, n); k may be 0.
-
-    Args:
-        starts: Such as almost do, shape (k, n); the nearest to the limits are tried, beside the present one and others.
-    """
-    starts = within_a_turn(starts, limits)
-    beyond = np.maximum(limits[:, 0] - starts, starts - limits[:, 1]).max(axis=1, initial=0.0)
-    drawn = np.random.default_rng(seed).uniform(limits[:, 0], limits[:, 1], (STARTS, len(limits)))
-    starts = np.vstack([present, starts[np.argsort(beyond, kind="stable")[:STARTS]], drawn])
-    q = _refined(robot, target, starts, limits)
-    return np.asarray(q[_errors(robot, target, q)[2] & within_limits(q, limits)])
-
-
-def _nearest(form: ClosedForm, target: Target) -> tuple[FloatArray, float]:
-    """Configurations [rad] near a target that is out of reach, and the least distance [m]."""
+def _found(
+    form: ClosedForm | None, robot: Robot, target: Target, present: FloatArray, limits: FloatArray, seed: int
+) -> tuple[FloatArray, float]:
+    """Configurations that reach the target, shape (k, n), and 0, or the nearest and how near they come [m]."""
+    starts = np.empty((0, len(present)))
+    if form is not None:
+        families = form.pose_families(target.T) if target.turned else form.positions(target.position_m[None])[0]
+        branches = [_cheapest(finite(family), present, limits, MEMBERS) for family in families]
+        of, starts = np.repeat(np.arange(len(branches)), list(map(len, branches))), np.concatenate(branches)
+        on = _errors(robot, target, starts)[2]
+        q = _slid(robot, target, starts[on], present, limits)
+        # Where members of families lie in steps there may be one within the limits between two of them.
+        if len(q) and (families.shape[1] == 1 or not _beyond_rad(q, limits).all()):
+            return np.concatenate([_cheapest(q[of[on] == k], present, limits, 1) for k in np.unique(of[on])]), 0.0
+        if target.turned and not len(q):
+            return form.nearest_pose(target.T)
+        starts = _cheapest(finite(families), present, limits, STARTS)
+    q, least = _searched(robot, target, starts, present, limits, seed)
+    form = robot.closed_form if target.direction is None else None
+    if form is None or least == 0.0:
+        return q, least
     return form.nearest_pose(target.T) if target.turned else form.nearest_position(target.position_m)
 
 
-def _best(q: FloatArray, present: FloatArray, limits: FloatArray) -> FloatArray:
-    """Of configurations, shape (k, n), the one within limits with the least travel, else the least travel."""
-    q = within_a_turn(q, limits)
-    order = np.lexsort((weighted_travel(q, present, limits), ~within_limits(q, limits)))
-    return np.asarray(q[order[0]])
-
-
-def _numeric(
-    robot: Robot, target: Target, present: FloatArray, limits: FloatArray, seed: int
+def _searched(
+    robot: Robot, target: Target, starts: FloatArray, present: FloatArray, limits: FloatArray, seed: int
 ) -> tuple[FloatArray, float]:
-    """Configurations within limits from many starts, else one without them, else the nearest."""
+    """As `_found`, from many starts, shape (k, n): those given, the present one, and drawn ones."""
     rng = np.random.default_rng(seed)
-    form = robot.closed_form if target.direction is None else None
-    if form is None:
-        q = _from_many(robot, target, present[None], present, limits, seed)
-        if len(q):
-            return _nearer(robot, target, q, present, limits), 0.0
-    for ranges in (limits, _whole_turns(robot)):
-        T, turned, direction = target.T[None], target.turned, target.direction
-        q = solve_poses(robot.chain, T, ranges, rng, q_start=present[None], turned=turned, direction=direction)
-        position_m, _, reached = _errors(robot, target, q)
-        if reached[0]:
-            return q, 0.0
-    return (q, float(position_m[0])) if form is None else _nearest(form, target)
+    for ranges in (*(limits,) * ROUNDS, _whole_turns(robot)):
+        drawn = rng.uniform(ranges[:, 0], ranges[:, 1], (STARTS, len(ranges)))
+        q = _refined(robot, target, np.vstack([present, starts, drawn]), ranges)
+        position_m, turn_rad, on = _errors(robot, target, q)
+        if on.any():
+            q = _distinct(_cheapest(q[on], present, limits, len(q)))[:FOUND]
+            return _slid(robot, target, q, present, limits), 0.0
+    best = int((position_m + turn_rad).argmin())
+    return q[best : best + 1], float(position_m[best])
 
 
-def _nearer(robot: Robot, target: Target, q: FloatArray, present: FloatArray, limits: FloatArray) -> FloatArray:
-    """Configurations within limits, each moved towards the present one as far as the target leaves it free."""
-    rows = 6 if target.turned else 3
-    if robot.chain.n <= rows - (target.direction is not None):
-        return q
-    for _ in range(NEARER_STEPS):
-        J = masked_jacobian(robot.chain, q, target.direction)[:, :rows]
-        away = present - q
-        along = away - (np.linalg.pinv(J, rcond=SINGULAR) @ (J @ away[..., None]))[..., 0]
-        moved = _refined(robot, target, np.clip(q + along, *limits.T), limits)
-        better = _errors(robot, target, moved)[2] & (
-            weighted_travel(moved, present, limits) < weighted_travel(q, present, limits) - SAME_RAD
-        )
-        if not better.any():
+def _beyond_rad(q: FloatArray, limits: FloatArray) -> FloatArray:
+    """By how much configurations, shape (..., n), are beyond their limits, all joints together; 0: they are not."""
+    beyond = np.maximum(limits[:, 0] - q, q - limits[:, 1]) - LIMIT_SLACK_RAD
+    return np.asarray(np.maximum(beyond, 0.0).sum(axis=-1))
+
+
+def _cost(q: FloatArray, present: FloatArray, limits: FloatArray) -> FloatArray:
+    """Travel, or more than any travel beyond the limits; shape (..., n) -> (...,)."""
+    return np.asarray(weighted_travel(q, present, limits) + BEYOND * _beyond_rad(q, limits))
+
+
+def _cheapest(q: FloatArray, present: FloatArray, limits: FloatArray, count: int) -> FloatArray:
+    q = within_a_turn(q, limits)
+    return np.asarray(q[np.argsort(_cost(q, present, limits), kind="stable")[:count]])
+
+
+def _distinct(q: FloatArray) -> FloatArray:
+    """Of configurations, shape (k, n), those that none before them is."""
+    apart = np.abs(q[:, None] - q).max(axis=2) >= SAME_RAD
+    return np.asarray(q[(apart | np.triu(np.ones_like(apart))).all(axis=1)])
+
+
+def _slid(robot: Robot, target: Target, q: FloatArray, present: FloatArray, limits: FloatArray) -> FloatArray:
+    """Configurations that reach a target, shape (k, n), each moved nearer as far as that leaves it free.
+
+    A redundant arm is, and any arm in a singular pose. There each joint in turn may move while others make up for it,
+    or all towards the present. Travel along such a way is least where a joint comes to where it is at present, or to a
+    limit: these places are tried, brought onto the target again, and kept if they are nearer. Where ways bend too much
+    for that, shorter ones are tried.
+    """
+    rows, turning = 6 if target.turned else 3, limits[:, 1] - limits[:, 0] >= TURN_RAD
+    most, cost, q = np.full(len(q), TURN_RAD), _cost(q, present, limits), q.copy()
+    for _ in range(SLIDES):
+        open_ = np.flatnonzero(most > SAME_RAD)
+        if not len(open_):
             break
-        q = np.where(better[:, None], moved, q)
+        now, step = q[open_], most[open_, None, None]
+        J = masked_jacobian(robot.chain, now, target.direction)[:, :rows]
+        free = np.eye(len(limits)) - np.linalg.pinv(J, rcond=SINGULAR) @ J
+        here = np.where(turning, now + np.remainder(present - now + np.pi, TURN_RAD) - np.pi, present)
+        ways = np.concatenate([free, (free @ (here - now)[..., None]).swapaxes(1, 2)], axis=1)  # candidate, way, joint
+        size = np.abs(ways).max(axis=2)
+        ways /= np.where(size > SINGULAR, size, np.inf)[..., None]
+        low, high = (np.broadcast_to(end, now.shape) for end in limits.T)
+        ends = np.stack([end + turn for end in (here, low, high) for turn in (0.0, TURN_RAD, -TURN_RAD)], axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            steps = ((ends - now[:, None])[:, None] / ways[:, :, None]).reshape(*ways.shape[:2], -1)
+        steps = np.clip(np.nan_to_num(steps, posinf=0.0, neginf=0.0), -step, step)
+        tried = (now[:, None, None] + steps[..., None] * ways[:, :, None]).reshape(len(now), -1, len(limits))
+        tried = within_a_turn(tried, limits)
+        tried_cost = _cost(tried, present, limits)
+        best = tried_cost.argmin(axis=1)
+        moved = _refined(robot, target, tried[np.arange(len(now)), best], limits)
+        moved_cost = np.where(_errors(robot, target, moved)[2], _cost(moved, present, limits), np.inf)
+        better = moved_cost < cost[open_] - SAME_RAD
+        q[open_[better]], cost[open_[better]] = moved[better], moved_cost[better]
+        # Where even the straight way comes no nearer there is nothing to be had.
+        least = tried_cost.min(axis=1) < cost[open_] - SAME_RAD
+        most[open_] = np.where(better, most[open_], np.where(least, most[open_] / 4.0, 0.0))
     return q
 
 

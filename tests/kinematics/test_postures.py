@@ -10,10 +10,12 @@ from hypothesis import strategies as st
 from armctl.kinematics import robots
 from armctl.kinematics.chain import DHRow, SerialChain, forward_kinematics, tool_position
 from armctl.kinematics.genetic import solve as genetic
+from armctl.kinematics.inverse import pose_errors, refine_poses, within_a_turn
+from armctl.kinematics.planar_arm import PlanarArm
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.solution import solve, weighted_travel, within_limits
 from armctl.kinematics.target import point_target, pose_target
-from armctl.kinematics.transform import FloatArray
+from armctl.kinematics.transform import FloatArray, finite
 from tests.kinematics.conftest import rngs
 
 PUMA_DEG = ((-160, 160), (-225, 45), (-45, 225), (-110, 170), (-100, 100), (-266, 266))
@@ -123,3 +125,51 @@ def test_a_genetic_algorithm_says_reachable_only_of_what_it_reaches(method: Any,
     assert rough.reachable == (rough.solutions[0].position_error_m <= 1e-6)
     assert rough.least_position_error_m == 0.0
     assert genetic.solve(robot, point_target(xyz), method=method, seed=1).reachable
+
+
+@given(rngs)
+@settings(max_examples=30, deadline=None)
+def test_of_the_family_that_a_fourth_link_leaves_the_nearest_is_found(rng: np.random.Generator) -> None:
+    """Beside every member that the closed form has by steps of a degree."""
+    robot, limits = robots.get("ax12-line"), limits_of("ax12-line")
+    form = robot.closed_form
+    assert isinstance(form, PlanarArm)
+    q, present = drawn(limits, rng), drawn(limits, rng)
+    T = forward_kinematics(robot.chain, q)
+    best = solve(robot, pose_target(T), present=present, limits=limits).solutions[0]
+    members = np.vstack([q, *(finite(form.poses(T[None], bend)) for bend in np.radians(np.arange(-150.0, 151.0)))])
+    members = within_a_turn(members, limits)
+    members = members[within_limits(members, limits)]
+    assert best.within_limits
+    travel = weighted_travel(np.array(best.q_rad), present, limits)
+    assert travel <= weighted_travel(members, present, limits).min() + 1e-6
+
+
+SEVEN = Robot(
+    "seven",
+    "",
+    {},
+    lambda _: SerialChain(
+        (*OFFSET_WRIST.rows[:2], DHRow(a=0.1, alpha=np.pi / 2), *OFFSET_WRIST.rows[2:5], DHRow(d=0.06))
+    ),
+    ranges_deg=((-130.0, 130.0),) * 7,
+)
+
+
+def test_of_seven_joints_none_of_thirty_restarts_comes_nearer() -> None:
+    rng, (low, high) = np.random.default_rng(8), SEVEN.limits_rad.T
+    for _ in range(15):
+        q, present = drawn(SEVEN.limits_rad, rng), drawn(SEVEN.limits_rad, rng)
+        T = forward_kinematics(SEVEN.chain, q)
+        best = solve(SEVEN, pose_target(T), present=present).solutions[0]
+        assert best.within_limits
+        assert max(best.position_error_m, best.orientation_error_rad) < 1e-6
+        restarts = refine_poses(
+            SEVEN.chain,
+            np.repeat(T[None], 31, axis=0),
+            np.vstack([q, rng.uniform(low, high, (30, 7))]),
+            SEVEN.limits_rad,
+        )
+        reached = np.max(pose_errors(SEVEN.chain, restarts, np.repeat(T[None], 31, axis=0)), axis=0) < 1e-6
+        others = weighted_travel(restarts[reached], present, SEVEN.limits_rad)
+        assert weighted_travel(np.array(best.q_rad), present, SEVEN.limits_rad) <= others.min() + 1e-3

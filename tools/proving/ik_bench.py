@@ -20,7 +20,7 @@ import numpy as np
 
 from armctl.kinematics import robots
 from armctl.kinematics.chain import SerialChain, forward_kinematics
-from armctl.kinematics.inverse import pose_errors, solve_poses
+from armctl.kinematics.inverse import pose_errors, refine_poses
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.spherical_wrist import SphericalWrist
 from armctl.kinematics.transform import FloatArray
@@ -34,6 +34,8 @@ SLOWEST_POSES = 10
 FK_POSES = 100_000
 ROUNDS = 5
 SOLVED_M = SOLVED_RAD = 1e-6
+# A pose is tried from at most so many starts.
+MOST_STARTS = 40
 # A solver that solves at least this share counts as exact.
 EXACT_SHARE = 0.999
 BATCH_BOUND_US = 2.0
@@ -160,7 +162,7 @@ def _solvers(robot: Robot, seed: int) -> list[_Solver]:
         return form.poses(T)[:, 0]
 
     def numeric(T: FloatArray) -> FloatArray:
-        return solve_poses(chain, T, limits, starts(seed))
+        return _from_starts(chain, T, limits, starts(seed))
 
     def lm(T: FloatArray, **options: Any) -> FloatArray:
         return np.array([ets.ik_LM(one, tol=1e-14, **options).q for one in T])
@@ -182,6 +184,18 @@ def _solvers(robot: Robot, seed: int) -> list[_Solver]:
         _Solver("pinocchio, CLIK with restarts", lambda T: pin.inverse(T, starts(seed)), SLOW_POSES, 2),
         _Solver("ikpy", _ikpy(chain), SLOWEST_POSES, 1),
     ]
+
+
+def _from_starts(chain: SerialChain, T: FloatArray, limits: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Damped least squares for every pose from random starts, until it is reached."""
+    q, left = np.empty((len(T), chain.n)), np.arange(len(T))
+    for _ in range(MOST_STARTS):
+        drawn = rng.uniform(limits[:, 0], limits[:, 1], (len(left), chain.n))
+        q[left] = refine_poses(chain, T[left], drawn, limits)
+        left = left[np.max(pose_errors(chain, q[left], T[left]), axis=0) > SOLVED_M / 1e3]
+        if not len(left):
+            break
+    return q
 
 
 def toolbox(chain: SerialChain) -> Any:
