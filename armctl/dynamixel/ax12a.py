@@ -209,17 +209,12 @@ SPEED_BOUND_TICK_S = MOTION_MARGIN * (NO_LOAD_SPEED_RAD_S / TICK_RAD)
 POSITION_AT = PRESENT_POSITION.address - STATUS_BEGIN
 
 
-def _impossible_bits() -> int:
-    """Bits of the block 24..49, as a little-endian number, that the control table never sets."""
-    mask = 0
-    for register in REGISTERS:
-        if not register.eeprom and register.maximum & (register.maximum + 1) == 0:
-            unused = (1 << 8 * register.size) - 1 - register.maximum
-            mask |= unused << 8 * (register.address - STATUS_BEGIN)
-    return mask
-
-
-IMPOSSIBLE_BITS = _impossible_bits()
+# Bits of the block 24..49, as a little-endian number, that the control table never sets.
+IMPOSSIBLE_BITS = sum(
+    (1 << 8 * register.size) - 1 - register.maximum << 8 * (register.address - STATUS_BEGIN)
+    for register in REGISTERS
+    if not register.eeprom and register.maximum & (register.maximum + 1) == 0
+)
 
 
 # Where a servo was [tick], and when [ns].

@@ -21,6 +21,7 @@ What is found when connecting is in `identify.py`.
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from dynamixel_sdk import COMM_RX_TIMEOUT, COMM_SUCCESS, COMM_TX_FAIL
 
@@ -28,13 +29,11 @@ from armctl.dynamixel import ax12a
 from armctl.dynamixel.ax12a import IMPOSSIBLE_BITS, ErrorBit, Register, Seen, believable, position_tick
 from armctl.dynamixel.packet import BROADCAST_ID, HEADER, OVERHEAD_BYTES, Instruction, encode_instruction
 from armctl.dynamixel.port import ADAPTER_LATENCY_MS, DRAIN_ROUNDS, NS_PER_MS, QUIET_MS, ServoPort
-from armctl.dynamixel.reply import BUS_NOISE as BUS_NOISE
-from armctl.dynamixel.reply import NO_REPLY as NO_REPLY
-from armctl.dynamixel.reply import PORT_GONE as PORT_GONE
-from armctl.dynamixel.reply import Reply as Reply
 from armctl.errors import PortGone
 from armctl.messages import Goal, Sample, ServoReading, Write
 
+# Why nothing good came back.
+NO_REPLY, BUS_NOISE, PORT_GONE = "NO_REPLY", "BUS_NOISE", "PORT_GONE"
 SAMPLE_RETRIES = 2
 # Long enough (0.5 s at 10 Hz) that a servo which restarts after a brown-out, 0.3 s, is heard as soon as it speaks.
 SILENT_MISSES = 5
@@ -51,6 +50,15 @@ STATUS_BLOCK = (ax12a.STATUS_BEGIN, ax12a.STATUS_SIZE)
 REFUSED = ErrorBit.RANGE | ErrorBit.CHECKSUM | ErrorBit.INSTRUCTION
 
 _log = logging.getLogger(__name__)
+
+
+class Reply(NamedTuple):
+    """What came back to one request; `problem` is empty when it is good."""
+
+    data: bytes = b""
+    error: int = 0
+    problem: str = ""
+    elapsed_ns: int = 0
 
 
 @dataclass(slots=True)

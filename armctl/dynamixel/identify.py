@@ -14,11 +14,10 @@ from statistics import median
 from typing import TypeVar
 
 from armctl.dynamixel import ax12a
-from armctl.dynamixel.bus import ServoBus
+from armctl.dynamixel.bus import BUS_NOISE, NO_REPLY, PORT_GONE, Reply, ServoBus
 from armctl.dynamixel.fitness import ServoJoint, bus_dead, duplicate_id, servo_silent, slow_adapter, table_problems
 from armctl.dynamixel.packet import OVERHEAD_BYTES
 from armctl.dynamixel.port import ADAPTER_LATENCY_MS, MARGIN_MS, NS_PER_MS, QUIET_MS, RETURN_DELAY_WORST_US
-from armctl.dynamixel.reply import BUS_NOISE, NO_REPLY, PORT_GONE, Reply
 from armctl.messages import Problem
 
 # For how long a busy machine may make replies late.

@@ -17,8 +17,7 @@ from armctl.kinematics.transform import FloatArray
 
 # Relative excess of a length that is rounding, not distance.
 ROUNDING = 1e-12
-_GRID = 720
-_GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
+_GRID = np.linspace(-1.0, 1.0, 721)
 
 
 def annulus(links_m: tuple[float, ...]) -> tuple[float, float]:
@@ -64,21 +63,11 @@ class PlaneReach:
         return (math.hypot(u + self.a1, self.offset) - rho) ** 2 + (height - v) ** 2
 
     def _on_circle(self, radius: float, rho: float, v: float) -> tuple[float, float]:
-        """The (u, v) on a circle about the shoulder nearest to the point at (rho, v): grid, then golden section."""
-        angles = np.linspace(-math.pi, math.pi, _GRID, endpoint=False)
-        squares = (np.hypot(radius * np.cos(angles) + self.a1, self.offset) - rho) ** 2
-        squares += (radius * np.sin(angles) - v) ** 2
-        best = float(angles[int(np.argmin(squares))])
-
-        def square(angle: float) -> float:
-            return self._square(radius * math.cos(angle), radius * math.sin(angle), rho, v)
-
-        left, right = best - 2.0 * math.pi / _GRID, best + 2.0 * math.pi / _GRID
-        for _ in range(60):
-            span = _GOLDEN * (right - left)
-            if square(right - span) < square(left + span):
-                right = left + span
-            else:
-                left = right - span
-        angle = (left + right) / 2.0
-        return radius * math.cos(angle), radius * math.sin(angle)
+        """The (u, v) on a circle about the shoulder nearest to the point at (rho, v): a grid, finer and finer."""
+        best, half = 0.0, math.pi
+        while half > 1e-9:
+            angles = best + half * _GRID
+            squares = (np.hypot(radius * np.cos(angles) + self.a1, self.offset) - rho) ** 2
+            squares += (radius * np.sin(angles) - v) ** 2
+            best, half = float(angles[int(np.argmin(squares))]), half * 2.0 / len(_GRID)
+        return radius * math.cos(best), radius * math.sin(best)

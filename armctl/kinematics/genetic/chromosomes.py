@@ -84,13 +84,6 @@ class Coding:
         low, high = self.ranges_rad.T
         return np.asarray(low + value * ((high - low) / (2.0**self.bits - 1.0)))
 
-    def words(self, angles: FloatArray) -> Words:
-        """The chromosomes nearest to joint angles [rad] within the ranges, shape (..., joints)."""
-        low, high = self.ranges_rad.T
-        share = np.clip((angles - low) / (high - low), 0.0, 1.0)
-        value = np.rint(share * (2.0**self.bits - 1.0)).astype(np.uint32)
-        return np.asarray(value ^ (value >> np.uint32(1)) if self.gray else value)
-
 
 class Streams:
     """One stream of random numbers a run."""
