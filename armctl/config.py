@@ -293,24 +293,24 @@ class ArmConfig(Frozen):
         return told | {"joints": [*told["joints"], joint], "gripper": gripper}
 
     @model_validator(mode="after")
-    def _check_chain(self) -> Self:
-        if isinstance(self.robot, str):
-            return self
-        rows, names = len(self.robot.dh), self.joint_names
+    def _check(self) -> Self:
+        rows, names = 0 if isinstance(self.robot, str) else len(self.robot.dh), self.joint_names
         if rows > len(names):
             raise ValueError(f"robot has {rows} joints, but joints has {len(names)}; give one entry each")
-        if self.gripper is not None and self.gripper.joint in names[:rows]:
-            raise ValueError(
-                f"gripper.joint {self.gripper.joint}: it is one of the {rows} joints that move the tool; name one after"
-                " them, or leave it out of the chain"
-            )
+        if self.gripper is not None:
+            self._check_gripper(self.gripper, rows)
+        for what, remedy in (("name", "give each its own"), ("servo_id", "give each servo an id of its own")):
+            values = [getattr(joint, what) for joint in self.joints]
+            if twice := [value for index, value in enumerate(values) if value in values[:index]]:
+                raise ValueError(f"two joints have {what} {twice[0]}; {remedy}")
         return self
 
-    @model_validator(mode="after")
-    def _check_gripper(self) -> Self:
-        gripper = self.gripper
-        if gripper is None:
-            return self
+    def _check_gripper(self, gripper: GripperConfig, rows: int) -> None:
+        if gripper.joint in self.joint_names[:rows]:
+            raise ValueError(
+                f"gripper.joint {gripper.joint}: it is one of the {rows} joints that move the tool; name one after"
+                " them, or leave it out of the chain"
+            )
         if gripper.joint not in self.joint_names:
             raise ValueError(f"gripper.joint {gripper.joint}: no such joint; known: {', '.join(self.joint_names)}")
         joint = self.joints[self.joint_names.index(gripper.joint)]
@@ -327,17 +327,6 @@ class ArmConfig(Frozen):
                 f"gripper.load_ratio {gripper.load_ratio}: with compliance slope {joint.compliance.slope} the servo is "
                 f"{behind_tick:.0f} ticks behind its goal then, at most {MAX_GRIP_TICK}; lower either of them"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        for what in ("name", "servo_id"):
-            values = [getattr(joint, what) for joint in self.joints]
-            for index, value in enumerate(values):
-                if value in values[:index]:
-                    remedy = "give each servo an id of its own" if what == "servo_id" else "give each its own"
-                    raise ValueError(f"two joints have {what} {value}; {remedy}")
-        return self
 
     @model_serializer(mode="wrap")
     def _told(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:

@@ -56,15 +56,17 @@ def slow_adapter(port_name: str, latency_ms: float, bound_ms: float) -> Problem:
     )
 
 
-def servo_silent(joint: ServoJoint) -> Problem:
-    text = "no reply; check its cable, its supply, its id, and that its status return level is 2"
-    return Problem("SERVO_SILENT", f"{_servo(joint)}: {text}", joint.servo_id)
+# Why a servo does not answer, or more than one does.
+SILENT = "no reply; check its cable, its supply, its id, and that its status return level is 2"
+DOUBLED = (
+    "garbled replies while others answer well; two servos with this id, or a bad cable: connect them one at a time and "
+    "give each its own id"
+)
 
 
-def duplicate_id(joint: ServoJoint) -> Problem:
-    text = "garbled replies while others answer well; two servos with this id, or a bad cable: "
-    text += "connect them one at a time and give each its own id"
-    return Problem("DUPLICATE_ID", f"{_servo(joint)}: {text}", joint.servo_id)
+def problem(code: str, joint: ServoJoint, text: str) -> Problem:
+    """What is wrong with the servo of a joint."""
+    return Problem(code, f"servo {joint.servo_id} ({joint.name}): {text}", joint.servo_id)
 
 
 class Unfit(NamedTuple):
@@ -104,18 +106,17 @@ def unfit_registers(joint: ServoJoint, table: bytes) -> list[Unfit]:
 
 def table_problems(joint: ServoJoint, table: bytes, port_name: str) -> list[Problem]:
     """Why the EEPROM (bytes 0..23) of a joint's servo forbids its motion, and the command that mends it."""
-    servo, servo_id = _servo(joint), joint.servo_id
     model = ax12a.register_value(ax12a.MODEL, table, 0)
     if wrong := wrong_model(joint, model):
-        return [Problem("WRONG_MODEL", f"{servo}: model number {model}, wanted {wrong}", servo_id)]
+        return [problem("WRONG_MODEL", joint, f"model number {model}, wanted {wrong}")]
     unfit = unfit_registers(joint, table)
     if not unfit:
         return []
     faults = "; ".join(f"{it.register.name} is {it.found}, wanted {it.wanted}" for it in unfit)
     if not any(ax12a.register_value(limit, table, 0) for limit in (ax12a.CW_LIMIT, ax12a.CCW_LIMIT)):
         faults += " (wheel mode)"
-    remedy = f"end the daemon, type `armctl servo mend {servo_id} --port {port_name}` (with its --arm if it has one)"
-    return [Problem("EEPROM_MISMATCH", f"{servo}: {faults}; {remedy}", servo_id)]
+    remedy = f"`armctl servo mend {joint.servo_id} --port {port_name}` (with its --arm if it has one)"
+    return [problem("EEPROM_MISMATCH", joint, f"{faults}; end the daemon, type {remedy}")]
 
 
 def wrong_model(joint: ServoJoint, model_number: int) -> str:
@@ -125,7 +126,3 @@ def wrong_model(joint: ServoJoint, model_number: int) -> str:
         return ""
     told = f"{wanted.model_number} ({wanted.title}); use an {wanted.title}, or the right id"
     return told if found is None else f"{told}, or write `model: {found.name}` for it into the arm's file"
-
-
-def _servo(joint: ServoJoint) -> str:
-    return f"servo {joint.servo_id} ({joint.name})"

@@ -15,7 +15,7 @@ from typing import TypeVar
 
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.bus import BUS_NOISE, NO_REPLY, PORT_GONE, Reply, ServoBus
-from armctl.dynamixel.fitness import ServoJoint, bus_dead, duplicate_id, servo_silent, slow_adapter, table_problems
+from armctl.dynamixel.fitness import DOUBLED, SILENT, ServoJoint, bus_dead, problem, slow_adapter, table_problems
 from armctl.dynamixel.packet import OVERHEAD_BYTES
 from armctl.dynamixel.port import ADAPTER_LATENCY_MS, MARGIN_MS, NS_PER_MS, QUIET_MS, RETURN_DELAY_WORST_US
 from armctl.messages import Problem
@@ -103,9 +103,9 @@ def _problems(bus: ServoBus, joints: Sequence[ServoJoint]) -> Steps[list[Problem
     problems = yield from _adapter_problems(bus, joints, tables)
     for joint, table in zip(joints, tables, strict=True):
         if table.problem == NO_REPLY:
-            problems.append(servo_silent(joint))
+            problems.append(problem("SERVO_SILENT", joint, SILENT))
         elif table.problem or (yield from _answers_twice(bus, joint.servo_id)):
-            problems.append(duplicate_id(joint))
+            problems.append(problem("DUPLICATE_ID", joint, DOUBLED))
         else:
             problems += table_problems(joint, table.data, port.port_name)
     return problems

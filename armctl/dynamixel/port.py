@@ -159,11 +159,8 @@ class ServoPort(PortHandler, ABC):  # type: ignore[misc]  # the SDK has no types
 
     def readPort(self, length: int) -> bytes:
         """Up to `length` bytes, waiting for them until the packet timeout."""
-        if length <= 0 or self.heard >= HEARD_MAX:
-            return b""
-        if len(self._received) < length:
-            self._fill(length)
-        data, self._received = self._received[:length], self._received[length:]
+        data = self.peek(length) if length > 0 else b""
+        self._received = self._received[len(data) :]
         self.heard += len(data)
         self._read += data
         return data

@@ -11,7 +11,7 @@ right angles to that. What was found is tried on some poses, so that nothing els
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -86,17 +86,23 @@ def closed_form(chain: SerialChain) -> ClosedForm | None:
     if chain.n < 4:
         return None
     on = _Axes(chain)
-    for form, table, signs, zeros in _candidates(on):
-        B = on.B
-        C = inverted(B @ forward_kinematics(table, zeros)) @ forward_kinematics(chain, np.zeros(chain.n))
-        if np.abs(C[:3, 3]).max() > SAME:
-            continue  # the tool is not where the form's tool is
-        q = np.random.default_rng(0).uniform(-math.pi, math.pi, (8, chain.n))
-        if np.abs(B @ forward_kinematics(table, signs * q + zeros) @ C - forward_kinematics(chain, q)).max() < SAME:
-            C[:3, 3] = 0.0
-            own = max(np.abs(B - np.eye(4)).max(), np.abs(C - np.eye(4)).max(), np.abs(zeros).max(), 1.0 - signs.min())
-            return form if own < 1e-15 else Placed(form, B, C, signs, zeros)
-    return None
+    try:
+        candidate = _candidate(on)
+    except ConfigError:
+        return None  # a link without length
+    if candidate is None:
+        return None
+    form, table, signs, zeros = candidate
+    B = on.B
+    C = inverted(B @ forward_kinematics(table, zeros)) @ forward_kinematics(chain, np.zeros(chain.n))
+    q = np.random.default_rng(0).uniform(-math.pi, math.pi, (8, chain.n))
+    off = np.abs(B @ forward_kinematics(table, signs * q + zeros) @ C - forward_kinematics(chain, q)).max()
+    # Nor is it one where the tool is not where the form's is.
+    if off >= SAME or np.abs(C[:3, 3]).max() > SAME:
+        return None
+    C[:3, 3] = 0.0
+    own = max(np.abs(B - np.eye(4)).max(), np.abs(C - np.eye(4)).max(), np.abs(zeros).max(), 1.0 - signs.min())
+    return form if own < 1e-15 else Placed(form, B, C, signs, zeros)
 
 
 # A form, its own table, signs and zeros [rad].
@@ -128,20 +134,14 @@ class _Axes:
         return abs(float(self.z[1] @ self.z[0])) < SAME and float(np.linalg.norm(np.cross(*self.z[:2]))) > 0.5
 
 
-def _candidates(on: _Axes) -> Iterator[Candidate]:
-    """Forms that a chain may have."""
-    if not on.level:
-        return
-    pitches = on.pitches()
-    try:
-        if pitches in (3, 4) and on.n == pitches + 1:
-            yield _planar(on, pitches, roll=False)
-        elif pitches == 3 and on.n == 5:
-            yield _planar(on, pitches, roll=True)
-        elif pitches == 2 and on.n == 6:
-            yield _spherical(on)
-    except ConfigError:
-        return  # a link without length
+def _candidate(on: _Axes) -> Candidate | None:
+    """The form that a chain may have."""
+    pitches = on.pitches() if on.level else 0
+    if pitches in (3, 4) and on.n == pitches + 1:
+        return _planar(on, pitches, roll=False)
+    if pitches == 3 and on.n == 5:
+        return _planar(on, pitches, roll=True)
+    return _spherical(on) if pitches == 2 and on.n == 6 else None
 
 
 def _planar(on: _Axes, pitches: int, *, roll: bool) -> Candidate:
