@@ -13,7 +13,7 @@ from tests.control.ideal_arm import IdealArm, holding, running
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 # Calls that name a fault, and which of their arguments does.
-LATCHING = {"latch": 0, "latch_servo": 0, "Problem": 0}
+LATCHING = {"latch": 0, "latch_servo": 0, "Problem": 0, "problem": 0}
 
 
 def joints(*powered: bool) -> list[JointState]:
