@@ -122,5 +122,7 @@ class SetUp:
 
 
 def _interrupt(program: Process) -> None:
+    if program.stdin is not None:
+        program.stdin.close()  # where interrupts are ignored, as in the background of a script, it has nobody to ask
     with contextlib.suppress(ProcessLookupError):  # it has ended
         program.send_signal(signal.SIGINT)

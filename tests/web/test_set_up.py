@@ -1,6 +1,7 @@
 """The set-up behind the page: a program of its own asks, and the service passes it on."""
 
 import asyncio
+from asyncio.subprocess import Process
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -71,5 +72,19 @@ def test_stop_breaks_it_off_and_says_where_it_goes_on_and_a_new_one_may_begin(se
         await set_up.begin(Nothing())
         await set_up.close()
         assert (await set_up.state())["running"] is False
+
+    asyncio.run(told())
+
+
+def test_one_that_does_not_hear_that_it_is_interrupted_ends_at_its_next_question(
+    set_up: SetUp, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Process, "send_signal", lambda *_: None)
+
+    async def told() -> None:
+        await set_up.begin(Nothing())
+        await set_up.close()
+        now = await set_up.state()
+        assert (now["running"], now["told"][-1]["error"]["code"]) == (False, "INTERRUPTED")
 
     asyncio.run(told())
