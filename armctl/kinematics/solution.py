@@ -287,7 +287,7 @@ def _slid(robot: Robot, target: Target, q: FloatArray, present: FloatArray, limi
         ways /= np.where(size > SINGULAR, size, np.inf)[..., None]
         low, high = (np.broadcast_to(end, now.shape) for end in limits.T)
         ends = np.stack([end + turn for end in (here, low, high) for turn in (0.0, TURN_RAD, -TURN_RAD)], axis=1)
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             steps = ((ends - now[:, None])[:, None] / ways[:, :, None]).reshape(*ways.shape[:2], -1)
         steps = np.clip(np.nan_to_num(steps, posinf=0.0, neginf=0.0), -step, step)
         tried = (now[:, None, None] + steps[..., None] * ways[:, :, None]).reshape(len(now), -1, len(limits))

@@ -116,6 +116,12 @@ def test_the_solution_nearest_to_the_present_comes_first() -> None:
     assert travels == sorted(travels)
 
 
+def test_a_point_that_is_hardly_beside_the_plane_of_the_arm_is_solved() -> None:
+    """Its base angle is so small that a way divided by it is more than a float can hold."""
+    robot = robots.get("xiang-6dof")
+    assert solve(robot, point_target(np.array([0.25, 5e-310, 0.1])), present=np.zeros(5)).reachable
+
+
 def test_eq_10_weighs_the_first_joint_double_and_goes_the_short_way_round() -> None:
     limits = np.array([[-np.pi, np.pi], [-1.0, 3.0], [-1.0, 3.0], [-1.0, 3.0]])
     q = np.array([3.1, 2.0, 0.0, 0.0])
