@@ -273,10 +273,6 @@ class Following:
     given_rad: tuple[float, ...]
     # For how long the motion has gone on.
     age_s: float = 0.0
-    # How far joints that stand have been off of late; empty: nothing is known yet.
-    off_rad: tuple[float, ...] = ()
-    # For how long each joint has stood.
-    stood_s: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)

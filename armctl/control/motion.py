@@ -6,10 +6,8 @@ A goal is where a joint is wanted a tick ahead, by a trajectory or a jog, and it
 2. A trim that grows slowly by what the encoders show, at the instants at which they were read; it begins anew with each
    motion. A joint that is far off is kept from where it is wanted, and not trimmed. Nothing is trimmed in a motion that
    is being stopped, nor while a fault is latched.
-3. A joint that has hardly moved for `STANDING_S` stands in its friction: a growing trim would have it jump in the
-   middle of a line. It is trimmed at once by how far it was off of late, where that is more than `STANDS_RAD`.
-4. What the motion before has left of a correction, which is blended out within `BLEND_S`.
-5. Goals are whole ticks. Of those beside the exact ones of all joints together, they are those that keep the tool
+3. What the motion before has left of a correction, which is blended out within `BLEND_S`.
+4. Goals are whole ticks. Of those beside the exact ones of all joints together, they are those that keep the tool
    nearest to where exact ones would have it, and that turn no joint back.
 A trajectory that is not corrected, and an arm whose file says `correction: false`, have neither lag nor trim, and the
 nearest ticks.
@@ -42,9 +40,6 @@ BLEND_S = 0.8
 RATE_RAD_S = math.radians(4.0)
 # Of the error, per second.
 TRIM_RATE = 0.5
-# A joint that is wanted to go no faster stands.
-STANDING_RAD_S = math.radians(0.5)
-STANDING_S, STANDS_RAD = 1.0, 0.6 * TICK_RAD
 # What a joint's own rounding counts beside what it moves the tool: as if it had this lever.
 ROUNDING_M = 0.03
 
@@ -175,23 +170,14 @@ def trim(s: Tick) -> None:
     f = s.state.following
     if f is None or not f.corrected or not s.fresh or s.state.phase in LATCHED:
         return
-    begun = min(1.0, f.age_s / BLEND_S)
-    gain, look = TRIM_RATE * s.period_s * begun, min(1.0, s.period_s / STANDING_S) * begun
-    none = (0.0,) * len(s.wire)
-    trims, off, stood_s = list(f.trim_rad), list(f.off_rad or none), list(f.stood_s or none)
+    gain = TRIM_RATE * s.period_s * min(1.0, f.age_s / BLEND_S)
+    trims = list(f.trim_rad)
     for i in range(s.robot.chain.n):
         since_s = (s.inputs.sample.servos[i].stamp_ns - s.state.goal_ns) / NS_PER_S - s.period_s
         error = f.wanted_rad[i] + f.velocity_rad_s[i] * since_s - s.joints[i].position_rad
-        if abs(f.velocity_rad_s[i]) >= STANDING_RAD_S:
-            off[i] = stood_s[i] = 0.0
-        else:
-            off[i], stood_s[i] = off[i] + look * (error - off[i]), stood_s[i] + s.period_s
-        stands = stood_s[i] >= STANDING_S
-        if abs(error) > FAR_RAD or (stands and abs(off[i]) < STANDS_RAD):
-            continue
-        trims[i] = min(max(trims[i] + (off[i] if stands else gain * error), -TRIM_RAD), TRIM_RAD)
-        off[i] = 0.0 if stands else off[i]
-    s.state.following = replace(f, trim_rad=tuple(trims), off_rad=tuple(off), stood_s=tuple(stood_s))
+        if abs(error) < FAR_RAD:
+            trims[i] = min(max(trims[i] + gain * error, -TRIM_RAD), TRIM_RAD)
+    s.state.following = replace(f, trim_rad=tuple(trims))
 
 
 def aimed(s: Tick, wanted_rad: Sequence[float], velocity_rad_s: Sequence[float]) -> tuple[list[int], Following]:
@@ -224,7 +210,7 @@ def _exact(s: Tick, f: Following) -> list[float]:
 
 
 def _whole_ticks(s: Tick, f: Following, after: Following) -> list[int]:
-    """The goals beside the exact ones [tick] that keep the tool where it is to be (rule 5).
+    """The goals beside the exact ones [tick] that keep the tool where it is to be (rule 4).
 
     No goal goes farther from the last one than the exact one does, by more than the tick that rounding may add.
     """

@@ -220,10 +220,10 @@ def _found(
             return form.nearest_pose(target.T)
         starts = _cheapest(finite(families), present, limits, STARTS)
     q, least = _searched(robot, target, starts, present, limits, seed)
-    form = robot.closed_form if target.direction is None else None
-    if form is None or least == 0.0:
-        return q, least
-    return form.nearest_pose(target.T) if target.turned else form.nearest_position(target.position_m)
+    closed = robot.closed_form if target.direction is None else None
+    if closed is None or least == 0.0:
+        return q if form is closed else _cheapest(q, present, limits, 1), least
+    return closed.nearest_pose(target.T) if target.turned else closed.nearest_position(target.position_m)
 
 
 def _searched(
