@@ -80,8 +80,8 @@ async def test_the_tool_follows_a_path_of_lines_and_of_arcs(request_: PathReques
     async with on_arm("ax12-line", seed) as bench:
         result, true = await followed(bench, path(bench.host, bench.anna, request_))
         off = off_mm(true, request_)
-        # 1.2 is wanted of the median: that of twelve arms is 1.03 along the square and 1.27 along the circle.
-        assert off.mean() <= 1.5
+        # 1.2 is wanted: the median of nine arms is 1.07 along the square and 1.23 along the circle.
+        assert off.mean() <= 1.25
         assert off.max() < 4.0
         assert 0.0 < result["mean_error_mm"] < 1.6
         assert list(bench.recorder.takes) == [result["recording"]]
@@ -188,7 +188,7 @@ async def test_a_taught_take_is_played_as_it_was_at_equal_progress() -> None:
             result, true = await followed(bench, play(bench.host, bench.anna, take, PlayRequest(motion=take)))
             apart = 1e3 * np.linalg.norm(true - due_m(take, taught_m, 1.0, len(true)), axis=1)
             means.append(float(apart.mean()))
-            assert apart.max() < 8.0  # of 36 takes the worst is 6.7, the median 3.2
+            assert apart.max() < 5.0
             assert result["path_mean_error_mm"] <= result["mean_error_mm"] < 2.5
             assert result["duration_s"] == pytest.approx(take.duration_s + 0.8, abs=1.5 * PERIOD_S)
             assert list(bench.recorder.takes)[-1] == result["recording"]
