@@ -169,10 +169,15 @@ async function takeByHand() {
 }
 
 const generations = { x: [], best: [], mean: [] };
+// How many runs of a refinement were made; one that something disturbed counts, and is none of those to choose from.
+let made = "";
 
 export function progressed(message) {
   if (message.warning) tell(`${message.warning}: ${message.text}`);
-  else if (message.round) $("run-figures").textContent = `after ${message.runs} of at most ${message.of} runs, ${roundText(message.round)}`;
+  else if (message.round) {
+    made = `after ${message.runs} of at most ${message.of} runs`;
+    $("run-figures").textContent = `${made}, ${roundText(message.round)}`;
+  }
   else converge(message);
 }
 
@@ -261,7 +266,7 @@ async function runPlan(refine) {
   if (result.rounds) {
     const [first] = result.rounds, count = result.rounds.reduce((sum, round) => sum + round.recordings.length, 0);
     $("run-figures").textContent = `${result.ended ? `ended before its time: ${result.ended.code}: ${result.ended.text}. ` : ""}` +
-      `The best of ${count} runs: ${$("run-figures").textContent}; the first one: ${millimetres(first.mean_error_mm)} and ${millimetres(first.max_error_mm)}`;
+      `The best of ${count} runs, ${made}: ${$("run-figures").textContent}; the first one: ${millimetres(first.mean_error_mm)} and ${millimetres(first.max_error_mm)}`;
     paths[0] = ["first run", await recorded(first.recordings[0])];
     await loadPlanChoice(result.plan.split("/").pop().replace(/\.json$/, ""));
   }
