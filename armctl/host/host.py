@@ -24,7 +24,7 @@ from armctl.control.machine import ADVICE
 from armctl.errors import ConfigError, IllegalTransition, RequestRefused
 from armctl.host.exchange import ANSWER_S, COMMANDS, Exchange, restarting
 from armctl.host.lease import Client, Lease, Leases
-from armctl.host.snapshot import Statistics, arm_snapshot, fault_snapshots
+from armctl.host.snapshot import Statistics, arm_snapshot, fault_snapshots, note_words
 from armctl.host.takes import TakeRecorder, Takes
 from armctl.host.watch import Done, Leg, Watch, holds, refuse_collision, run_name
 from armctl.kinematics.robots.robot import Robot
@@ -53,9 +53,6 @@ PARK_S = 60.0
 TAIL_NS = 300_000_000
 # What the arm does is not told from a tick that is later than its period by more than this.
 STALE_NS = 300_000_000
-
-# What of a note stands in the daemon's own log as well; the recorded log has all of it.
-TOLD = ("event", "request", "program", "name", "step", "text", "outcome", "reasons", "who", "person", "path")
 # What is stopped when its client leaves: also a jog, whose last heartbeat may be under way.
 MOVING = ("run", "path", "play", "move", "park", "reach", "grip", "transfer", "program", "jog", "jogging")
 
@@ -182,8 +179,7 @@ class Host:
 
     def note(self, message: dict[str, Any]) -> None:
         """Put something no tick record tells into the log."""
-        words = (message[key] for key in TOLD if message.get(key))
-        logger.info("%s", ", ".join("; ".join(word) if isinstance(word, list) else str(word) for word in words))
+        logger.info("%s", note_words(message))
         self.recorder.note(COMMAND, json.dumps(message), self._clock.now_ns())
 
     # ------------------------------------------------------------------------------------------- requests
@@ -386,8 +382,7 @@ class Host:
 
     def status(self) -> dict[str, Any]:
         """The snapshot every client sees, as of now."""
-        now_ns = self._clock.now_ns()
-        commander = self.leases.current
+        now_ns, commander = self._clock.now_ns(), self.leases.current
         faults = fault_snapshots(self.latest, self._lost_ns, now_ns)
         return {
             **self.state(),

@@ -1,4 +1,4 @@
-"""The snapshot every client sees: one tick record, and how old it is, as plain JSON values.
+"""The snapshot every client sees: one tick record, and how old it is, as plain JSON values; and notes in words.
 
 Nothing here looks fresher than it is: ages grow from the last tick on, also when no tick comes any more.
 """
@@ -18,6 +18,8 @@ STATISTICS_TICKS = 600
 # Time over which the tool's speed is measured: a tick of a potentiometer is 2 mm at the tool.
 SPEED_S = 0.2
 
+# What of a note stands in the daemon's own log as well; the recorded log has all of it.
+TOLD = ("event", "request", "program", "name", "step", "text", "outcome", "reasons", "who", "person", "path")
 # What is told of a joint; all of them are null until its servo has answered once.
 JOINT_KEYS = tuple(name for name in JointState.__slots__ if name != "known")
 
@@ -104,6 +106,12 @@ def fault_snapshots(latest: TickRecord | None, lost_ns: int | None, now_ns: int)
         moving = now.progress is not None
         cards += [_card(fault, card(fault, now.joints, moving, now.rest_in_s), now_ns) for fault in now.faults]
     return cards
+
+
+def note_words(message: dict[str, Any]) -> str:
+    """What a person reads of a note that goes into the log."""
+    words = (message[key] for key in TOLD if message.get(key))
+    return ", ".join("; ".join(word) if isinstance(word, list) else str(word) for word in words)
 
 
 def _card(fault: Fault, told: tuple[str, str], now_ns: int) -> dict[str, Any]:

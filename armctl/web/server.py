@@ -86,11 +86,7 @@ def serve(
     server = uvicorn.Server(settings)
     address = f"{scheme}://{name}:{port}/#token={token}"
 
-    try:  # before anything runs: the server itself would end the program over it
-        listening = socket_module.create_server((host, port))
-    except OSError as error:
-        why = "is taken" if error.errno == errno.EADDRINUSE else f"cannot be had: {error.strerror}"
-        raise ConfigError("armctl web", "--port", f"{port} {why}", "choose another with --port") from None
+    listening = _listening(host, port)  # before anything runs: the server itself would end the program over it
 
     def started() -> None:
         if token_file is not None:
@@ -105,6 +101,14 @@ def serve(
         asyncio.run(_serving(server, listening, started))
     finally:
         listening.close()
+
+
+def _listening(host: str, port: int) -> socket_module.socket:
+    try:
+        return socket_module.create_server((host, port))
+    except OSError as error:
+        why = "is taken" if error.errno == errno.EADDRINUSE else f"cannot be had: {error.strerror}"
+        raise ConfigError("armctl web", "--port", f"{port} {why}", "choose another with --port") from None
 
 
 async def _serving(server: "uvicorn.Server", listening: socket_module.socket, started: Callable[[], None]) -> None:

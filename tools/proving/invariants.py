@@ -382,8 +382,7 @@ class Judge(TorqueJudge):
                 rule = "limp" if self._mode in LIMP or self._code == "NOT_LIMP" else "2"
                 self._violate(rule, now_s, i, f"{away * TICK_DEG:.1f} deg from its goal (bound 12)")
             if before:
-                off = (abs(before[i].goal - place) for place in (servo.sensed_tick, self._told[i]))
-                self._watch_strain(now_s, i, min(off))
+                self._watch_strain(now_s, i, min(abs(before[i].goal - at) for at in (servo.sensed_tick, self._told[i])))
             if i in self._enabled:
                 self._watch_jump(now_s, i, servo)
         if before and gap_s <= 0.05:

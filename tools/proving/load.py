@@ -150,14 +150,9 @@ def prove(
         late = log.figures()
         at_stops = _stops(stops, log)
     counted = [(due_s, answer_s) for due_s, answer_s in answers if counting_s <= due_s < end_s]
-    status_ms = [1e3 * (answer_s - due_s) for due_s, answer_s in counted if answer_s < math.inf]
     result: dict[str, Any] = {
         "runs": len(counted) + len(stops) + len(ways),
-        "request_rate_hz": len(status_ms) / seconds,
-        "unanswered": len(counted) - len(status_ms),
-        "status_ms_p50": _share(status_ms, 50),
-        "status_ms_p99": _share(status_ms, 99),
-        "status_ms_max": _share(status_ms, 100),
+        **_answered(counted, seconds),
         **at_stops,
         "ways": [_way(way, ways) for way in WAYS],
         "more": [_way(way, ways) for way in more or ()],
@@ -173,6 +168,16 @@ def prove(
     for text in (*examples, *(f"not judged: {text}" for text in unjudged)):
         tell(text)
     return {**result, "violations": len(examples), "examples": examples, "unjudged": unjudged}
+
+
+def _answered(asked: list[tuple[float, float]], seconds: float) -> dict[str, float]:
+    """Figures of requests, each by when it was due and answered [s]."""
+    status_ms = [1e3 * (answer_s - due_s) for due_s, answer_s in asked if answer_s < math.inf]
+    return {
+        "request_rate_hz": len(status_ms) / seconds,
+        "unanswered": len(asked) - len(status_ms),
+        **{f"status_ms_{name}": _share(status_ms, share) for name, share in (("p50", 50), ("p99", 99), ("max", 100))},
+    }
 
 
 def _judge(result: dict[str, Any], rate_hz: float) -> tuple[list[str], list[str]]:
