@@ -10,11 +10,12 @@ import contextlib
 from collections.abc import AsyncIterator, Callable, Mapping
 from inspect import Parameter, Signature
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from fastapi import APIRouter, FastAPI, Request, Response, WebSocket, WebSocketDisconnect
+from fastapi import APIRouter, FastAPI, Query, Request, Response, WebSocket, WebSocketDisconnect
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
+from pydantic import Field
 from starlette.exceptions import HTTPException
 
 from armctl import __version__
@@ -61,6 +62,9 @@ COMMANDS: dict[str, tuple[str, type[Frozen] | None, str]] = {
     "GET /plans/{name}": ("plans_show", None, "One plan with its predicted tool path."),
     "DELETE /plans/{name}": ("plans_delete", None, "Delete a plan."),
 }
+
+# An end of a line in an address.
+End = Annotated[list[Annotated[float, Field(allow_inf_nan=False)]], Query(min_length=3, max_length=3)]
 
 
 def create_app(
@@ -184,6 +188,11 @@ def _commands(daemon: Connections, set_up: SetUp) -> APIRouter:
         with contextlib.suppress(*((NoDaemon,) if set_up.break_off() else ())):
             return await daemon.stop()
         return {"state": "off"}
+
+    @router.get("/recordings/{name}/errors")
+    async def errors(name: NamePath, from_m: End, to_m: End) -> dict[str, Any]:
+        """How far a recording is off a line, among other things; each end is given by three numbers [m]."""
+        return await daemon.call("recordings_show", name=name, from_m=from_m, to_m=to_m)
 
     @router.post("/jog")
     async def jog(request: Request, body: JogBeat) -> dict[str, Any]:

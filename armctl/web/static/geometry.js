@@ -46,25 +46,6 @@ export function onTheWay(track, line) {
   return way.length > 1 ? way : track;
 }
 
-const STATIONS = 51;
-
-// How far a take is off the line [mm], on average and at most: at places of equal progress, so that dwelling costs nothing,
-// its ends put on A and B. The daemon tells it the same way.
-export function offLine(track, [A, B]) {
-  const kept = [[0, A]];
-  for (const place of fromTo(track, A, B)) {
-    const share = progressAlong(place, A, B);
-    if (share > kept.at(-1)[0] && share < 1) kept.push([share, place]);
-  }
-  kept.push([1, B]);
-  const off = Array.from({ length: STATIONS }, (_, i) => {
-    const share = i / (STATIONS - 1), next = Math.max(1, kept.findIndex(([one]) => one >= share));
-    const [[low, from], [high, to]] = [kept[next - 1], kept[next]], part = (share - low) / (high - low);
-    return distance(from.map((value, axis) => value + part * (to[axis] - value)), A, B);
-  });
-  return [off.reduce((sum, one) => sum + one, 0) / off.length, Math.max(...off)];
-}
-
 // The tool path to compare: of a run only the part that the plan describes, of a take everything.
 export function proper(recording) {
   if (!recording.plan_s) return recording.tool_m;

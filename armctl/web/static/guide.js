@@ -1,7 +1,7 @@
 // Teach a line by hand, straighten what was taught, run it: the steps of the guide.
 
 import { chart, COLOURS, drawDeviation, namesOf } from "/charts.js";
-import { distance, minus, offLine, onTheWay, point, progressAlong, proper, shareOf, wantedLine } from "/geometry.js";
+import { distance, minus, onTheWay, point, progressAlong, proper, shareOf, wantedLine } from "/geometry.js";
 import { $, act, after, confirmed, fill, millimetres, page, post, Refused, request, spoken, tell, torqueOn, valueOf } from "/page.js";
 
 const MOST_DRAWN = 12;
@@ -9,7 +9,7 @@ const MOST_DRAWN = 12;
 const LEAST_COVERED = 80;
 // The take that is recorded, and whether a plan runs.
 export const guide = { taking: null, running: false };
-// Tool paths of recordings, by name.
+// Of recordings, by name: the tool's path, and how far it is off lines, as the daemon says, by the line.
 export const tracks = new Map();
 let takes = [], drawn = null;
 let covered = [1, 0];  // of the line, in the take under way
@@ -36,8 +36,9 @@ export function showTakes() {
       take.chosen = box.checked;
       act(null, drawGuide);
     });
-    const line = wantedLine(), off = tracks.has(take.name) && line ? offLine(tracks.get(take.name), line) : null;
-    const figures = `: ${take.duration.toFixed(1)} s` + (off ? `, ${millimetres(off[0])} off the wanted line on average, ${millimetres(off[1])} at most` : "");
+    const off = tracks.get(take.name)?.off[wantedLine()];
+    const figures = `: ${take.duration.toFixed(1)} s` +
+      (off ? `, ${millimetres(off.mean_error_mm)} off the wanted line on average, ${millimetres(off.max_error_mm)} at most` : "");
     label.append(box, take.name + figures + (take.why && !take.chosen ? `; left out: ${take.why}` : ""));
     item.append(label);
     return item;
@@ -60,16 +61,20 @@ async function drawGuide() {
   if (!page.view || $("view-guide").hidden) return;
   const inSight = takes.filter((take) => take.chosen).slice(0, MOST_DRAWN), line = wantedLine();
   await Promise.all(inSight.filter(({ name }) => !tracks.has(name)).map(async ({ name }) => {
-    tracks.set(name, (await request(`/recordings/${encodeURIComponent(name)}`)).tool_m);
+    tracks.set(name, { tool_m: (await request(`/recordings/${encodeURIComponent(name)}`)).tool_m, off: {} });
+  }));
+  const ends = line && new URLSearchParams([["from_m", line[0]], ["to_m", line[1]]].flatMap(([end, place]) => place.map((x) => [end, x])));
+  await Promise.all(inSight.filter(({ name }) => line && !tracks.get(name).off[line]).map(async ({ name }) => {
+    tracks.get(name).off[line] = await request(`/recordings/${encodeURIComponent(name)}/errors?${ends}`);
   }));
   for (const take of inSight.filter(({ fresh }) => fresh && line)) {
-    const share = Math.round(100 * shareOf(tracks.get(take.name), line));
+    const share = Math.round(100 * shareOf(tracks.get(take.name).tool_m, line));
     take.fresh = false;
     if (share < LEAST_COVERED) [take.chosen, take.why] = [false, `it leads along ${share} % of the line`];
   }
   const chosen = inSight.filter((take) => take.chosen).map((take) => take.name);
   page.view.keep(["line", "trail", "plan", "run"]);
-  chosen.forEach((name, i) => page.view.curve(`take ${name}`, onTheWay(tracks.get(name), line), COLOURS[i % COLOURS.length]));
+  chosen.forEach((name, i) => page.view.curve(`take ${name}`, onTheWay(tracks.get(name).tool_m, line), COLOURS[i % COLOURS.length]));
   $("guide-names").replaceChildren(...namesOf(chosen));
   showTakes();
 }
@@ -310,6 +315,7 @@ export function wireGuide() {
     $("line-hint").textContent = line ? `${(1000 * Math.hypot(...minus(line[1], line[0]))).toFixed(0)} mm long` : "";
     showTakes();
   });
+  $("line-form").addEventListener("change", () => act(null, drawGuide));
   $("plan-choice").addEventListener("change", () => act(null, drawChosen));
   $("bend-point").addEventListener("change", showPoint);
   $("bend-form").addEventListener("submit", (event) => {
