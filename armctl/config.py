@@ -265,7 +265,7 @@ class ArmConfig(Frozen):
     # Whether goals are corrected by the lag that is foreseen and by what the encoders show.
     correction: bool = True
     # Whether the servos go on with the speed ramp of the goal before; if not, each begins at the shaft. Left out: that
-    # shows itself (`armctl identify --quick` finds it out).
+    # shows itself in a motion (RAMP_RESTARTS).
     ramp_from_reference: bool | None = None
     # From the base to the tool.
     joints: tuple[JointConfig, ...] = Field(min_length=1, max_length=32, strict=False)
