@@ -44,7 +44,7 @@ def solve_position(
     q = np.minimum(np.maximum(q_start, low), high)
     damping = 1e-4
     error = target - tool_position(chain, q)
-    distance = math.sqrt(error @ error)
+    distance = math.hypot(*error)
     for _ in range(iterations):
         if distance <= tolerance_m:
             return q
@@ -55,14 +55,14 @@ def solve_position(
         for _ in range(chain.n):
             Jf = J[:, free]
             step[:] = 0.0
-            step[free] = Jf.T @ np.linalg.solve(Jf @ Jf.T + damping * np.eye(3), error)
+            step[free] = (_divided(Jf, damping, error)[:, None] * Jf).sum(axis=0)
             blocked = free & (((q <= low) & (step < 0.0)) | ((q >= high) & (step > 0.0)))
             if not blocked.any() or blocked.sum() == free.sum():
                 break
             free &= ~blocked
         candidate = np.minimum(np.maximum(q + step, low), high)
         candidate_error = target - tool_position(chain, candidate)
-        candidate_distance = math.sqrt(candidate_error @ candidate_error)
+        candidate_distance = math.hypot(*candidate_error)
         if candidate_distance < distance:
             q, error, distance = candidate, candidate_error, candidate_distance
             damping = max(damping * 0.3, 1e-12)
@@ -71,6 +71,18 @@ def solve_position(
     if distance <= tolerance_m:
         return q
     raise unreachable(target, distance, " within the joint limits")
+
+
+def _divided(J: FloatArray, damping: float, error: FloatArray) -> FloatArray:
+    """(J J' + damping I)^-1 error of three rows J, shape (3, n), by Cramer's rule: the same bits on every processor.
+
+    LAPACK's depend on the processor, and by them what a simulated hand does.
+    """
+    (a, h, g), (_, b, f), (_, _, c) = ((J[:, None, :] * J).sum(axis=-1) + damping * np.eye(3)).tolist()
+    x, y, z = error.tolist()
+    A, B, C, F, G, H = b * c - f * f, c * a - g * g, a * b - h * h, g * h - a * f, h * f - b * g, f * g - c * h
+    size = a * A + h * H + g * G
+    return np.array([A * x + H * y + G * z, H * x + B * y + F * z, G * x + F * y + C * z]) / float(size)
 
 
 def unreachable(target: FloatArray, near_m: float, more: str = "") -> UnreachableTarget:

@@ -3,13 +3,15 @@
 A target is a pose, a point, or a point and where the tool points there. A solution reaches it to `REACHED`; where none
 exists the answer holds the configurations nearest to it and the least distance, exact where there is a formula. Joint
 ranges do not make a target unreachable: each solution says whether it is within them. Solutions are sorted: within the
-ranges first, then the least weighted travel from the present configuration (Bao, Liu & Zhao eq. 10).
+ranges first, then the least weighted travel from the present configuration (Bao, Liu & Zhao eq. 10). Of mirror images
+that are as near, the one whose first joint that differs stands higher comes first, on every processor.
 """
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -29,6 +31,8 @@ REACHED_RAD = 1e-6
 LIMIT_SLACK_RAD = 1e-9
 # Configurations that are one.
 SAME_RAD = 1e-6
+# Of a travel and an angle [rad]: what differs after these differs by how a processor rounds.
+EQUAL_DIGITS = 6
 # An arm that has to travel more than this to a pose that is not singular is not there.
 NEAR_RAD = 1e-2
 # Below this share of the largest singular value the joints can move while the tool stays.
@@ -161,7 +165,7 @@ def answer(
     keep = np.flatnonzero(reached) if reached.any() else np.arange(len(q))
     inside = within_limits(q[keep], limits)
     misses = np.zeros(len(keep)) if reached.any() else np.round(position_m + turn_rad, 9)[keep]
-    order = keep[np.lexsort((weighted_travel(q[keep], present, limits), ~inside, misses))]
+    order = keep[_order(q[keep], weighted_travel(q[keep], present, limits), ~inside, misses)]
     judge = _judge(robot, target)
     solutions = [Solution(tuple(one.tolist()), bool(within_limits(one, limits)), judge) for one in _distinct(q[order])]
     return Answer(bool(reached.any()), least, tuple(solutions))
@@ -188,6 +192,8 @@ def _alone(form: ClosedForm, robot: Robot, target: Target, present: FloatArray, 
             q.append(near)
         found.append((not inside, travel, tuple(q)))
     found.sort()
+    if any(more[1] - one[1] < SAME_RAD for one, more in pairwise(found)):
+        found.sort(key=lambda one: (one[0], round(one[1], EQUAL_DIGITS), [-round(at, EQUAL_DIGITS) for at in one[2]]))
     if not found or found[0][0] or found[0][1] < NEAR_RAD:
         return None
     judge = _judge(robot, target)
@@ -215,7 +221,9 @@ def _found(
         q = _slid(robot, target, starts[on], present, limits)
         # Where members of families lie in steps there may be one within the limits between two of them.
         if len(q) and (families.shape[1] == 1 or not _beyond_rad(q, limits).all()):
-            return np.concatenate([_cheapest(q[of[on] == k], present, limits, 1) for k in np.unique(of[on])]), 0.0
+            cost, of = _cost(q, present, limits), of[on]
+            best = np.array([cost[of == k].min() for k in of])
+            return q[cost < best + SAME_RAD], 0.0
         if target.turned and not len(q):
             return form.nearest_pose(target.T)
         starts = _cheapest(finite(families), present, limits, STARTS)
@@ -255,7 +263,12 @@ def _cost(q: FloatArray, present: FloatArray, limits: FloatArray) -> FloatArray:
 
 def _cheapest(q: FloatArray, present: FloatArray, limits: FloatArray, count: int) -> FloatArray:
     q = within_a_turn(q, limits)
-    return np.asarray(q[np.argsort(_cost(q, present, limits), kind="stable")[:count]])
+    return np.asarray(q[_order(q, _cost(q, present, limits))[:count]])
+
+
+def _order(q: FloatArray, travel: FloatArray, *before: FloatArray | NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Indices that sort configurations, shape (k, n): first by the last key `before`, ..., then travel, then joints."""
+    return np.lexsort((*np.round(-q, EQUAL_DIGITS).T[::-1], np.round(travel, EQUAL_DIGITS), *before))
 
 
 def _distinct(q: FloatArray) -> FloatArray:

@@ -32,7 +32,7 @@ def time_law(u: FloatArray) -> FloatArray:
     u = np.clip(u, 0.0, 1.0)
     # Speed climbs as 6x^5 - 15x^4 + 10x^3; `ramp` is its integral.
     x = np.minimum(np.minimum(u, 1.0 - u) / RAMP, 1.0)
-    ramp = PEAK_SPEED * RAMP * x**4 * (x * (x - 3.0) + 2.5)
+    ramp = PEAK_SPEED * RAMP * np.square(x * x) * (x * (x - 3.0) + 2.5)
     middle = PEAK_SPEED * (u - RAMP / 2.0)
     return np.where(u < RAMP, ramp, np.where(u > 1.0 - RAMP, 1.0 - ramp, middle))
 
@@ -87,7 +87,7 @@ def joint_path(waypoints: FloatArray, knots: FloatArray, s: FloatArray, kind: In
     q = a * np.take_along_axis(waypoints, left, -2) + b * np.take_along_axis(waypoints, right, -2)
     if kind == "cubic" and knots.shape[-1] > 2:
         M = _second_derivatives(waypoints, h)
-        bend = (a**3 - a) * np.take_along_axis(M, left, -2) + (b**3 - b) * np.take_along_axis(M, right, -2)
+        bend = (a * a * a - a) * np.take_along_axis(M, left, -2) + (b * b * b - b) * np.take_along_axis(M, right, -2)
         q += bend * (length**2)[..., None] / 6.0
     return np.asarray(q)
 

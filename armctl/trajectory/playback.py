@@ -160,7 +160,7 @@ class Playback:
         ease_s, time_s = self.ease_s, np.clip(time_s, 0.0, self.duration_s)
         # The rate climbs as 6x^5 - 15x^4 + 10x^3; this is its integral.
         x = np.minimum(np.minimum(time_s, self.duration_s - time_s) / ease_s, 1.0)
-        eased = self.rate * ease_s * x**4 * (x * (x - 3.0) + 2.5)
+        eased = self.rate * ease_s * np.square(x * x) * (x * (x - 3.0) + 2.5)
         even = self.rate * (time_s - ease_s / 2.0)
         ending = np.where(time_s > self.duration_s - ease_s, self.taught_s[-1] - eased, even)
         return np.asarray(np.where(time_s < ease_s, eased, ending))

@@ -20,6 +20,9 @@ from armctl.kinematics.target import point_target, pose_target
 from armctl.kinematics.transform import FloatArray, pose_from_xyz_rpy
 from tests.kinematics.conftest import rngs, seeds
 
+# On ax12-line, whose shoulder is as high, so that each posture has its mirror image.
+MIRRORED_M = np.array([0.18, 0.05, 0.1])
+
 Method = Literal["closed", "numeric"]
 
 
@@ -114,6 +117,16 @@ def test_the_solution_nearest_to_the_present_comes_first() -> None:
         np.testing.assert_allclose(solve(robot, target, present=near).solutions[0].q_rad, one.q_rad, atol=1e-9)
     travels = [float(weighted_travel(np.array(one.q_rad), np.zeros(6), robot.limits_rad)) for one in answer.solutions]
     assert travels == sorted(travels)
+
+
+@given(rngs, st.floats(-16.0, -11.0))
+@settings(max_examples=30)
+def test_of_mirror_images_that_are_as_near_the_same_comes_first_however_numbers_are_rounded(
+    rng: np.random.Generator, digits: float
+) -> None:
+    rounded_m = rng.normal(size=3) * 10.0**digits
+    found = solve(robots.get("ax12-line"), point_target(MIRRORED_M + rounded_m), present=np.zeros(5)).solutions
+    assert found[0].q_rad[1] == pytest.approx(0.8782203, abs=1e-6)
 
 
 def test_a_point_that_is_hardly_beside_the_plane_of_the_arm_is_solved() -> None:
