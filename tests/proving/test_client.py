@@ -42,7 +42,6 @@ def test_every_way_meets_every_motion_as_often() -> None:
 
 
 @pytest.mark.pty
-@pytest.mark.crowd
 def test_a_client_that_ends_stops_the_arm_and_one_that_does_not_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     result = client.prove(seed=1, runs=len(client.WAYS))
     # How long things took is judged where nothing else runs.
