@@ -184,7 +184,7 @@ def _end_once(running: Rig, run: Run, taught: list[str], rng: np.random.Generato
     direct = contextlib.nullcontext((running.socket, lambda: None))
     with contextlib.ExitStack() as both:
         through, cut = both.enter_context(_relay(running.socket) if run.way == "cut off" else direct)
-        client = both.enter_context(_client(through, run.way))
+        client = both.enter_context(_client(through, run.way, _words_of(running)))
         _to_centre(running)
         number = int(rng.integers(2))
         child = _begun(client, *_asked(running, run.motion, 1 - 2 * number, taught[number]))
@@ -193,7 +193,7 @@ def _end_once(running: Rig, run: Run, taught: list[str], rng: np.random.Generato
         deadline_s = time.monotonic() + PATIENCE_S
         while _base_rad_s(running) < SEEN_RAD_S:
             assert time.monotonic() < deadline_s, "the arm never moved"
-            assert client.poll() is None, "the client ended by itself"
+            assert client.poll() is None, f"the client ended by itself: {_last_words(running)}"
         time.sleep(rng.uniform(*ENDS_AFTER_S))
         end_ns = time.monotonic_ns()
         end(run.way, client, cut)
@@ -273,14 +273,25 @@ def _asked(running: Rig, motion: Motion, sign: int, taught: str) -> tuple[str, d
 
 
 @contextlib.contextmanager
-def _client(through: Path, way: Way) -> Iterator["subprocess.Popen[str]"]:
-    """The client, which connects and waits to be told what to do."""
+def _client(through: Path, way: Way, words: Path) -> Iterator["subprocess.Popen[str]"]:
+    """The client, which connects and waits to be told what to do; what it says of errors stands in a file."""
     command, pipe = [sys.executable, "-c", CLIENT, str(through), way], subprocess.PIPE
-    with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL, text=True) as client:
+    with (
+        words.open("w", encoding="utf-8") as said,
+        subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=said, text=True) as client,
+    ):
         try:
             yield client
         finally:
             client.kill()
+
+
+def _words_of(running: Rig) -> Path:
+    return running.socket.with_name("client.log")
+
+
+def _last_words(running: Rig) -> str:
+    return _words_of(running).read_text(encoding="utf-8").strip().rpartition("\n")[2]
 
 
 def _begun(client: "subprocess.Popen[str]", method: str, params: dict[str, Any]) -> int:
