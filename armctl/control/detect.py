@@ -33,6 +33,10 @@ REST_AHEAD_S = 3.0
 # So much farther behind its ramp than it pushes for, for so many ticks, is no joint whose ramp goes on, however noisy
 # its sensor or slow to react its servo.
 BEHIND_TICKS, LAZY_TICKS = 12.0, 2
+# A joint that is farther behind than that and two ticks of its way was not so by its ramps.
+AT_ONCE_TICKS = 16.0
+# So long every servo has to have been heard and to have shown its goal.
+CLEAN_S = 0.5
 # What is at its torque limit pushes no more for being farther off.
 LIMIT_SHARE = 0.9
 NOISE_S = 10.0
@@ -237,21 +241,33 @@ def look_at_ramps(s: Tick) -> None:
     """Notice that the servos begin their speed ramp to each new goal at the shaft: no document says what they do.
 
     Such a ramp takes back with each goal what a loaded joint lags behind. So the joint falls ever farther behind goals
-    that come tick by tick, and yet does not push as one does that is so far from its goal.
+    that come tick by tick, and yet does not push as one does that is so far from its goal. What is that far off at once
+    was led off, or is read wrongly; and where a goal was lost, a ramp is behind for that.
     """
     state = s.state
-    led = (state.motion or state.jog) and s.fresh and s.all_powered() and not state.faults
-    if s.arm.ramp_from_reference is not None or state.ramp_restarts or not led:
+    if s.arm.ramp_from_reference is not None or state.ramp_restarts:
         return
-    lazy = any(
-        servo is not None
-        and servo.goal == goal
-        and (behind := abs(ramp - servo.position)) > BEHIND_TICKS
-        and abs(servo.load_ratio) < LIMIT_SHARE * servo.torque_limit / ax12a.LOAD_MAX
-        and behind - ax12a.distance_rad(servo, abs(servo.load_ratio)) / ax12a.TICK_RAD > BEHIND_TICKS
-        for servo, goal, ramp in zip(s.servos, state.goal, s.ramps(), strict=True)
-    )
-    state.lazy_ticks = state.lazy_ticks + 1 if lazy else 0
+    if not (s.fresh and s.all_powered()) or state.faults or s.found or state.sent:
+        state.lazy_ticks = -s.ticks_in(CLEAN_S)
+        return
+    if state.motion is None and state.jog is None:
+        state.lazy_ticks = min(0, state.lazy_ticks + 1)
+        return
+    speeds = (0.0,) * len(s.wire) if state.following is None else state.following.velocity_rad_s
+    lazy, at_once = False, False
+    for servo, goal, ramp, speed in zip(s.servos, state.goal, s.ramps(), speeds, strict=True):
+        way = abs(speed) * s.period_s / ax12a.TICK_RAD
+        behind = 0.0 if servo is None or servo.goal != goal else abs(ramp - servo.position) - 0.5 * way
+        if servo is None or behind <= BEHIND_TICKS:
+            continue
+        pushes = ax12a.distance_rad(servo, abs(servo.load_ratio)) / ax12a.TICK_RAD
+        full = abs(servo.load_ratio) >= LIMIT_SHARE * servo.torque_limit / ax12a.LOAD_MAX
+        lazy |= behind - pushes > BEHIND_TICKS and not full
+        at_once |= behind > AT_ONCE_TICKS + 2.0 * way
+    if at_once and state.lazy_ticks <= 0:
+        state.lazy_ticks = -s.ticks_in(CLEAN_S)
+    else:
+        state.lazy_ticks = state.lazy_ticks + 1 if lazy or state.lazy_ticks < 0 else 0
     if state.lazy_ticks == LAZY_TICKS:
         state.ramp_restarts = True
         text = "the servos begin their speed ramp anew at the shaft; goals get more speed from now on"

@@ -52,8 +52,8 @@ def step(state: State, inputs: Inputs, arm: ArmConfig, robot: Robot, period_s: f
     joints, fresh = _joint_states(inputs, servos, wire), all(reading.fresh for reading in readings)
     s = Tick(state, inputs, arm, wire, robot, period_s, joints, servos, fresh)
     state.ticks += 1
-    look_at_ramps(s)
     detect_faults(s)
+    look_at_ramps(s)
     if state.letting_go is not None:
         switch_off(s)
     for command in inputs.commands:

@@ -2,15 +2,16 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
 from armctl.config import ArmConfig
-from armctl.messages import Mode, Run, TorqueOn
+from armctl.messages import Clear, Mode, Run, TorqueOn
 from armctl.sim.servo import ServoVariants
 from armctl.sim.spec import RANDOM_SPEC, RANGE_SPEC, ArmSpec, put_together
-from tests.control.damaged_arm import ARM, Rig
+from tests.control.damaged_arm import ARM, Rig, is_goal
 
 SPECS = {"new": RANDOM_SPEC, "published": RANGE_SPEC, "worn": put_together(RANDOM_SPEC, "perfect", "worn")}
 RESTARTS = ServoVariants(ramp_from_reference=False)
@@ -62,6 +63,40 @@ def test_a_joint_that_is_blocked_is_told_as_that_whatever_its_ramps_do() -> None
         rig.fault("blocked_joint", 1)
         rig.ticks(60, Run(10, rig.turned(30.0)))
         assert rig.code() in ("BLOCKED", "CONTACT")
+
+
+def test_an_arm_that_fell_off_its_goals_says_nothing_of_ramps_when_it_is_led_again() -> None:
+    for seed in range(6):
+        rig = held(RANDOM_SPEC, seed)
+        rig.ticks(8, Run(1, rig.way(POSES_DEG[1], 6.0)))
+        rig.fault("stuck_joint", duration_s=1.5)
+        rig.ticks(14)
+        rig.restart()
+        rig.ticks(6, Clear(2))
+        rig.ticks(40, Run(3, rig.way(POSES_DEG[0], 8.0)))
+        assert "RAMP_RESTARTS" not in rig.codes()
+
+
+def lost_some(lost: Iterator[bool], packet: bytes) -> bool:
+    return is_goal(packet) and next(lost)
+
+
+def test_goals_that_are_lost_say_nothing_of_ramps() -> None:
+    for seed in range(6):
+        rig = held(RANDOM_SPEC, seed)
+        lost = iter(np.random.default_rng(seed).random(1000) < 0.3)
+        rig.port.damages = partial(lost_some, lost)
+        list(moved(rig, corrected=False, fast=True))
+        assert "RAMP_RESTARTS" not in rig.codes()
+
+
+def test_a_joint_that_is_read_elsewhere_says_nothing_of_ramps() -> None:
+    for joint in range(5):
+        rig = held(RANDOM_SPEC, joint)
+        rig.ticks(8, Run(1, rig.way(POSES_DEG[1], 6.0)))
+        rig.fault("same_id", ARM.joints[joint].servo_id, duration_s=2.5)
+        rig.ticks(40)
+        assert "RAMP_RESTARTS" not in rig.codes()
 
 
 def test_what_the_arms_file_says_of_its_ramps_is_not_found_out_again() -> None:
