@@ -35,7 +35,7 @@ REST_AHEAD_S = 3.0
 BEHIND_TICKS, LAZY_TICKS = 12.0, 2
 # A joint that is farther behind than that and two ticks of its way was not so by its ramps.
 AT_ONCE_TICKS = 16.0
-# So long every servo has to have been heard and to have shown its goal.
+# So long every servo has to have been heard, to have shown its goal and to have been near its ramp.
 CLEAN_S = 0.5
 # What is at its torque limit pushes no more for being farther off.
 LIMIT_SHARE = 0.9
@@ -264,10 +264,10 @@ def look_at_ramps(s: Tick) -> None:
         full = abs(servo.load_ratio) >= LIMIT_SHARE * servo.torque_limit / ax12a.LOAD_MAX
         lazy |= behind - pushes > BEHIND_TICKS and not full
         at_once |= behind > AT_ONCE_TICKS + 2.0 * way
-    if at_once and state.lazy_ticks <= 0:
-        state.lazy_ticks = -s.ticks_in(CLEAN_S)
+    if state.lazy_ticks < 0 or (at_once and not state.lazy_ticks):
+        state.lazy_ticks = -s.ticks_in(CLEAN_S) if lazy or at_once else state.lazy_ticks + 1
     else:
-        state.lazy_ticks = state.lazy_ticks + 1 if lazy or state.lazy_ticks < 0 else 0
+        state.lazy_ticks = state.lazy_ticks + 1 if lazy else 0
     if state.lazy_ticks == LAZY_TICKS:
         state.ramp_restarts = True
         text = "the servos begin their speed ramp anew at the shaft; goals get more speed from now on"
