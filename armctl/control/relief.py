@@ -131,10 +131,13 @@ def pushes(s: Tick) -> list[float]:
 
 def _beyond_bound(s: Tick) -> list[float]:
     """By how much every joint's output is beyond what may be; below 0: it is not."""
-    return [
-        max(low - joint.load_ratio, joint.load_ratio - high) - max(PUSH_RATIO - (high - low) / 2.0, FRICTION_RATIO)
-        for joint, (low, high) in zip(s.joints, explained_ratio(s), strict=True)
-    ]
+    beyond = []
+    for joint, (low, high) in zip(s.joints, explained_ratio(s), strict=True):
+        # Where the supply is low a motor is weaker, and friction is what it was.
+        friction = FRICTION_RATIO * max(1.0, RATED_V / max(joint.voltage_V, 1.0))
+        more = max(low - joint.load_ratio, joint.load_ratio - high)
+        beyond.append(more - max(PUSH_RATIO - (high - low) / 2.0, friction))
+    return beyond
 
 
 def keep_here(s: Tick, index: int) -> None:

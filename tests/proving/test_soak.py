@@ -149,6 +149,13 @@ def test_a_death_counts_from_where_the_arm_is_then_right_behind_a_goal_too(
     assert max(leads_deg) > (6.0 if sends == 7 else 1.0)
 
 
+@pytest.mark.parametrize(("seed", "episode"), [(301, 82), (301, 214), (301, 266)])
+def test_what_a_soak_found_is_not_found_again(seed: int, episode: int) -> None:
+    """Ramps taken for others where goals were lost; a push told of a joint that bears its weight at 5 V."""
+    on, drawn = soak.drawn_by(seed, episode)
+    assert Episode(drawn, on).play().violations == []
+
+
 def test_a_late_tick_stops_the_run(on: Stage) -> None:
     assert played(on, Late(5.0, 400.0), duration_s=8.0).rows["LATE"] == 1
 
