@@ -9,7 +9,7 @@ the files, because people write them, and radians in every property the code rea
 import hashlib
 import math
 from functools import cached_property
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, NamedTuple, Self
 
 from pydantic import (
     AfterValidator,
@@ -23,17 +23,19 @@ from pydantic import (
 
 from armctl.dynamixel import ax12a, servos
 from armctl.errors import ConfigError
+from armctl.gripper import MAX_GRIP_TICK
+from armctl.gripper import GripperConfig as GripperConfig
+from armctl.gripper import OwnGripper as OwnGripper
+from armctl.pair import Linkage
+from armctl.pair import PairConfig as PairConfig
 from armctl.strict_yaml import NAME_PATTERN as NAME_PATTERN
+from armctl.strict_yaml import Degrees as Degrees
 from armctl.strict_yaml import Frozen as Frozen
 from armctl.strict_yaml import Name as Name
 from armctl.strict_yaml import parse_yaml as parse_yaml
 from armctl.strict_yaml import validate as validate
 
-# 5.9 deg: nearer than what a joint may be behind its goal before it counts as blocked.
-MAX_GRIP_TICK = 20
-
 UserOrGroup = Annotated[str, Field(pattern=r"^@?[A-Za-z_][A-Za-z0-9_.-]{0,31}$")]
-Degrees = Annotated[float, Field(ge=-360.0, le=360.0, allow_inf_nan=False)]
 # No link of an arm of such servos is longer.
 LONGEST_LINK_M = 2.0
 
@@ -83,6 +85,8 @@ class JointConfig(Frozen):
     torque_limit_ratio: float = Field(1.0, gt=0.0, le=1.0)
     # How stiffly the servo holds.
     compliance: Compliance = Compliance()
+    # A second servo that turns this joint.
+    pair: PairConfig | None = None
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -99,14 +103,22 @@ class JointConfig(Frozen):
                 raise ValueError(
                     f"limits_deg {limit} is tick {tick:.0f} with zero_tick {self.zero_tick}; a servo reaches 0 to 1023"
                 )
+            if self.linkage is not None and not -0.5 <= (second := self.linkage.second(tick)) <= ax12a.TICK_MAX + 0.5:
+                found = f"limits_deg {limit} is tick {second:.0f} of the second servo, which reaches 0 to 1023"
+                raise ValueError(f"{found}; correct pair, or narrow limits_deg")
+        if self.pair is not None and self.pair.servo_id == self.servo_id:
+            own = f"pair.servo_id {self.servo_id} is that of the first servo"
+            raise ValueError(f"{own}; give each servo an id of its own")
         return self
 
     @model_serializer(mode="wrap")
     def _told(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """An AX-12A is not told: logs and hashes of old arms stay as they are."""
+        """An AX-12A is not told, nor that it is alone: logs and hashes of old arms stay as they are."""
         told: dict[str, Any] = handler(self)
         if self.model == servos.DEFAULT:
             told.pop("model", None)
+        if self.pair is None:
+            told.pop("pair", None)
         return told
 
     def tick(self, position_rad: float) -> float:
@@ -127,6 +139,11 @@ class JointConfig(Frozen):
         ends = sorted(self.tick(limit) for limit in self.limits_rad)
         return max(0, math.ceil(ends[0] - 1e-9)), min(ax12a.TICK_MAX, math.floor(ends[1] + 1e-9))
 
+    @cached_property
+    def linkage(self) -> Linkage | None:
+        """How its two servos read against each other; None: it has one."""
+        return None if self.pair is None else self.pair.linked(self.direction, self.zero_tick)
+
     @property
     def speed_limit_rad_s(self) -> float:
         return math.radians(self.speed_limit_deg_s)
@@ -138,6 +155,33 @@ class JointConfig(Frozen):
     @property
     def rest_rad(self) -> float:
         return math.radians(self.rest_deg)
+
+
+class Servo(NamedTuple):
+    """One servo of an arm, and the joint it turns."""
+
+    servo_id: int
+    # Index of the joint.
+    of: int
+    joint: JointConfig
+    # How it reads against the joint's first servo; None: it is that.
+    linkage: Linkage | None = None
+
+    @property
+    def name(self) -> str:
+        return self.joint.name
+
+    @property
+    def model(self) -> str:
+        return self.joint.model
+
+    @property
+    def limits_tick(self) -> tuple[int, int]:
+        """Lowest and highest whole goal tick inside the joint's limits."""
+        if self.linkage is None:
+            return self.joint.limits_tick
+        low, high = sorted([round(self.linkage.second(tick)) for tick in self.joint.limits_tick])
+        return max(0, low), min(ax12a.TICK_MAX, high)
 
 
 class ChainRow(Frozen):
@@ -179,63 +223,6 @@ class ChainTable(Frozen):
         if not any((*self.tool_m, *(length for row in self.dh for length in (row.a_m, row.b_m, row.d_m)))):
             raise ValueError("every length of the table is 0 m; give a_m, d_m or tool_m in metres")
         return self
-
-
-class OwnGripper(Frozen):
-    """A gripper that is none of the joints: a servo of its own."""
-
-    # What to call it.
-    name: Name = "gripper"
-    # Its ID on the bus.
-    servo_id: int = Field(ge=0, le=253)
-    # What the servo reads where the gripper has let go.
-    open_tick: int = Field(ge=0, le=ax12a.TICK_MAX)
-    # What it reads where it is closed with nothing in between.
-    closed_tick: int = Field(ge=0, le=ax12a.TICK_MAX)
-    # How wide it is where it has let go.
-    open_mm: float | None = Field(None, ge=0.0, le=500.0)
-    # And where it is closed.
-    closed_mm: float | None = Field(None, ge=0.0, le=500.0)
-    # The load that tells a grip, and that holds it.
-    load_ratio: float = Field(0.3, ge=0.15, le=0.5)
-
-    def as_joint(self) -> tuple[dict[str, Any], dict[str, Any]]:
-        """The joint that it is, and what `gripper` then says."""
-        closed_deg = math.degrees((self.closed_tick - self.open_tick) * ax12a.TICK_RAD)
-        joint = {"name": self.name, "servo_id": self.servo_id, "zero_tick": float(self.open_tick)}
-        joint |= {"limits_deg": sorted((0.0, closed_deg)), "rest_deg": 0.0}
-        sizes = {key: size for key in ("open_mm", "closed_mm") if (size := getattr(self, key)) is not None}
-        gripper = {"joint": self.name, "open_deg": 0.0, "closed_deg": closed_deg, "load_ratio": self.load_ratio}
-        return joint, gripper | sizes
-
-
-class GripperConfig(Frozen):
-    """The joint that grips. It moves no tool point, and gets from open to closed unless something is in between."""
-
-    # Its name among the joints.
-    joint: Name
-    # Where it has let go.
-    open_deg: Degrees
-    # Where it is closed with nothing in between.
-    closed_deg: Degrees
-    # The load that tells a grip, and that holds it: above friction, below what makes the servo hot.
-    load_ratio: float = Field(0.3, ge=0.15, le=0.5)
-    # How wide it is where it has let go.
-    open_mm: float | None = Field(None, ge=0.0, le=500.0)
-    # And where it is closed.
-    closed_mm: float | None = Field(None, ge=0.0, le=500.0)
-
-    def opening_mm(self, position_rad: float) -> float | None:
-        """How wide it is, if its file says how wide it opens and closes."""
-        if self.open_mm is None or self.closed_mm is None:
-            return None
-        share = (math.degrees(position_rad) - self.open_deg) / (self.closed_deg - self.open_deg)
-        return self.open_mm + share * (self.closed_mm - self.open_mm)
-
-    @model_serializer(mode="wrap")
-    def _told(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Sizes that nobody gave are not told: logs of old arms stay as they are."""
-        return {key: value for key, value in handler(self).items() if value is not None}
 
 
 class ArmConfig(Frozen):
@@ -303,6 +290,10 @@ class ArmConfig(Frozen):
             values = [getattr(joint, what) for joint in self.joints]
             if twice := [value for index, value in enumerate(values) if value in values[:index]]:
                 raise ValueError(f"two joints have {what} {twice[0]}; {remedy}")
+        for index, servo in enumerate(self.servos):
+            if servo.servo_id in self.servo_ids[:index]:
+                both = f"{self.servos[self.servo_ids.index(servo.servo_id)].name} and the pair of {servo.name}"
+                raise ValueError(f"{both} have servo_id {servo.servo_id}; give each servo an id of its own")
         return self
 
     def _check_gripper(self, gripper: GripperConfig, rows: int) -> None:
@@ -339,8 +330,16 @@ class ArmConfig(Frozen):
         return self.robot if isinstance(self.robot, str) else self.arm_id
 
     @cached_property
+    def servos(self) -> tuple[Servo, ...]:
+        """The first servo of every joint, in the order of the joints, then the second ones of those that have two."""
+        firsts = [Servo(joint.servo_id, i, joint) for i, joint in enumerate(self.joints)]
+        pairs = [(i, joint, joint.pair) for i, joint in enumerate(self.joints)]
+        return (*firsts, *(Servo(pair.servo_id, i, joint, joint.linkage) for i, joint, pair in pairs if pair))
+
+    @cached_property
     def servo_ids(self) -> tuple[int, ...]:
-        return tuple(joint.servo_id for joint in self.joints)
+        """In the order of `servos`, which is that of samples, goals and logs."""
+        return tuple(servo.servo_id for servo in self.servos)
 
     @cached_property
     def joint_names(self) -> tuple[str, ...]:

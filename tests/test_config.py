@@ -8,7 +8,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from armctl.config import ArmConfig, Config, parse_yaml, validate
+from armctl.config import ArmConfig, Config, PairConfig, parse_yaml, validate
 from armctl.errors import ConfigError
 from armctl.files import find_arm_file, load_arm
 from armctl.strict_yaml import MAX_YAML_BYTES, MAX_YAML_DEPTH
@@ -115,3 +115,58 @@ def test_an_ax_12a_is_not_told_and_another_servo_is() -> None:
 def test_a_servo_that_is_none_is_refused_with_those_there_are() -> None:
     with pytest.raises(ConfigError, match="model 'mx-28': no such servo; known: ax-12a, ax-12w, ax-18a"):
         arm_with(GRIPPER, model="mx-28")
+
+
+def paired(**pair: Any) -> ArmConfig:
+    shoulder = {"name": "shoulder", "servo_id": 2, "zero_tick": 500, "limits_deg": [-60, 60], "pair": pair}
+    waist = {"name": "waist", "servo_id": 1, "limits_deg": [-90, 90]}
+    return validate(ArmConfig, {"arm_id": "two", "robot": "planar", "joints": [waist, shoulder]}, "FILE")
+
+
+@pytest.mark.parametrize("row", REFUSED["pairs"], ids=lambda row: row["says"][:40])
+def test_a_pair_that_cannot_be_is_refused_with_the_reason(row: dict[str, Any]) -> None:
+    with pytest.raises(ConfigError, match=row["says"]):
+        paired(**row["pair"])
+
+
+def test_a_second_servo_faces_the_first_one_unless_its_file_says_otherwise() -> None:
+    arm = paired(servo_id=3)
+    assert arm.servo_ids == (1, 2, 3)
+    assert [servo.name for servo in arm.servos] == ["waist", "shoulder", "shoulder"]
+    first, second = arm.servos[1:]
+    assert first.limits_tick == (296, 704)
+    assert second.limits_tick == (1023 - 704, 1023 - 296)
+    assert second.linkage is not None
+    assert second.linkage.second(500.0) == 523.0
+    same = paired(servo_id=3, direction=1, zero_tick=490.5).servos[2].linkage
+    assert same is not None
+    assert (same.second(510.0), same.first(500.5)) == (500.5, 510.0)
+
+
+@given(st.lists(st.tuples(st.integers(5, 40), st.integers(-20, 20)), min_size=2, max_size=12), st.floats(0.0, 1023.0))
+def test_a_measured_table_is_read_both_ways(steps: list[tuple[int, int]], tick: float) -> None:
+    rows, a, b = [(250.0, 800.0)], 250.0, 800.0
+    for step, percent in steps:
+        a, b = a + step, b - step * (1.0 + percent / 100.0)
+        rows.append((a, b))
+    link = PairConfig(servo_id=3, table=tuple(rows)).linked(1, 512.0)
+    assert [link.second(a) for a, _ in rows] == pytest.approx([b for _, b in rows])
+    assert link.first(link.second(tick)) == pytest.approx(tick)
+
+
+def test_an_arm_without_a_pair_is_told_as_before() -> None:
+    told = load_arm("ax12-line").model_dump()
+    assert all("pair" not in joint for joint in told["joints"])
+    assert load_arm("ax12-line").calibration_hash == "10542f8f115a0cf0"
+    pair = paired(servo_id=3).model_dump(mode="json", exclude_unset=True)["joints"][1]["pair"]
+    assert pair == {"servo_id": 3}
+    measured = paired(servo_id=3, table=[[300, 720], [700, 325]])
+    assert validate(ArmConfig, measured.model_dump(mode="json", exclude_unset=True), "FILE") == measured
+
+
+def test_a_gripper_of_its_own_may_have_two_servos() -> None:
+    gripper = {"servo_id": 7, "open_tick": 400, "closed_tick": 520, "pair": {"servo_id": 8}}
+    joints = [{"name": "waist", "servo_id": 1, "limits_deg": [-90, 90]}]
+    arm = validate(ArmConfig, {"arm_id": "two", "robot": "planar", "joints": joints, "gripper": gripper}, "FILE")
+    assert arm.servo_ids == (1, 7, 8)
+    assert arm.servos[2].limits_tick == (503, 623)

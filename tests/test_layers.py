@@ -22,6 +22,8 @@ PURE = (
     "armctl.errors",
     "armctl.messages",
     "armctl.json_text",
+    "armctl.pair",
+    "armctl.gripper",
     "armctl.config",
     "armctl.dynamixel.packet",
     "armctl.dynamixel.fitness",

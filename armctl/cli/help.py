@@ -88,6 +88,7 @@ def configuration_page() -> str:
         "robot.dh: one row a joint\n": config.ChainRow,
         "joints: one entry a servo, from the base up\n": config.JointConfig,
         "compliance:\n": config.Compliance,
+        "pair: the second servo of a joint, where it has two\n": config.PairConfig,
         "gripper: the joint that grips, where the arm has one\n": config.GripperConfig,
         "gripper: or a servo that is none of the joints\n": config.OwnGripper,
     }
