@@ -12,7 +12,6 @@ from functools import cached_property
 from typing import Annotated, Any, Literal, NamedTuple, Self
 
 from pydantic import (
-    AfterValidator,
     Discriminator,
     Field,
     SerializerFunctionWrapHandler,
@@ -26,6 +25,8 @@ from armctl.errors import ConfigError
 from armctl.gripper import MAX_GRIP_TICK
 from armctl.gripper import GripperConfig as GripperConfig
 from armctl.gripper import OwnGripper as OwnGripper
+from armctl.links import ChainRow as ChainRow
+from armctl.links import ChainTable as ChainTable
 from armctl.pair import Linkage
 from armctl.pair import PairConfig as PairConfig
 from armctl.strict_yaml import NAME_PATTERN as NAME_PATTERN
@@ -36,17 +37,6 @@ from armctl.strict_yaml import parse_yaml as parse_yaml
 from armctl.strict_yaml import validate as validate
 
 UserOrGroup = Annotated[str, Field(pattern=r"^@?[A-Za-z_][A-Za-z0-9_.-]{0,31}$")]
-# No link of an arm of such servos is longer.
-LONGEST_LINK_M = 2.0
-
-
-def _metres(value: float) -> float:
-    if abs(value) > LONGEST_LINK_M:
-        raise ValueError(f"{value:g} m is beyond any arm of AX-12A (at most {LONGEST_LINK_M:g} m); give metres, not mm")
-    return value
-
-
-Metres = Annotated[float, Field(allow_inf_nan=False), AfterValidator(_metres)]
 
 
 class Compliance(Frozen):
@@ -175,6 +165,10 @@ class Servo(NamedTuple):
     def model(self) -> str:
         return self.joint.model
 
+    def position_rad(self, tick: float) -> float:
+        """Joint position [rad] of this servo's position [tick]."""
+        return self.joint.position_rad(tick if self.linkage is None else self.linkage.first(tick))
+
     @property
     def limits_tick(self) -> tuple[int, int]:
         """Lowest and highest whole goal tick inside the joint's limits."""
@@ -182,47 +176,6 @@ class Servo(NamedTuple):
             return self.joint.limits_tick
         low, high = sorted([round(self.linkage.second(tick)) for tick in self.joint.limits_tick])
         return max(0, low), min(ax12a.TICK_MAX, high)
-
-
-class ChainRow(Frozen):
-    """One joint of a Denavit-Hartenberg table; the joint's own angle is added to `theta_deg`."""
-
-    # Along x to the next joint's axis; in a modified row of the link before the joint.
-    a_m: Metres = 0.0
-    # About x, between this joint's axis and the next; in a modified row of the link before the joint.
-    alpha_deg: Degrees = 0.0
-    # Along the joint's axis.
-    d_m: Metres = 0.0
-    # The angle of the table at joint position 0.
-    theta_deg: Degrees = 0.0
-    # Along y, where no convention puts the frame; of modified rows, as a URDF makes them.
-    b_m: Metres = 0.0
-    # About y, in the same rows.
-    beta_deg: Degrees = 0.0
-
-
-class ChainTable(Frozen):
-    """The links of an arm, as a table."""
-
-    # Which Denavit-Hartenberg convention; in a modified row `a_m` and `alpha_deg` are the link's before (Craig).
-    convention: Literal["standard", "modified"]
-    # One row a joint, from the base to the tool.
-    dh: tuple[ChainRow, ...] = Field(min_length=1, max_length=16, strict=False)
-    # The tool in the last link's frame.
-    tool_m: tuple[Metres, Metres, Metres] = Field((0.0, 0.0, 0.0), strict=False)
-    # Its rotation there: roll about x, pitch about y, yaw about z.
-    tool_rpy_deg: tuple[Degrees, Degrees, Degrees] = Field((0.0, 0.0, 0.0), strict=False)
-    # The URDF that the table was made of; the table counts.
-    urdf: str = ""
-
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        for number, row in enumerate(self.dh, start=1):
-            if self.convention == "standard" and (row.b_m or row.beta_deg):
-                raise ValueError(f"dh row {number} has b_m or beta_deg, which are for `convention: modified`")
-        if not any((*self.tool_m, *(length for row in self.dh for length in (row.a_m, row.b_m, row.d_m)))):
-            raise ValueError("every length of the table is 0 m; give a_m, d_m or tool_m in metres")
-        return self
 
 
 class ArmConfig(Frozen):
@@ -329,7 +282,7 @@ class ArmConfig(Frozen):
         """What to call its kinematic model."""
         return self.robot if isinstance(self.robot, str) else self.arm_id
 
-    @cached_property
+    @property
     def servos(self) -> tuple[Servo, ...]:
         """The first servo of every joint, in the order of the joints, then the second ones of those that have two."""
         firsts = [Servo(joint.servo_id, i, joint) for i, joint in enumerate(self.joints)]
@@ -340,6 +293,16 @@ class ArmConfig(Frozen):
     def servo_ids(self) -> tuple[int, ...]:
         """In the order of `servos`, which is that of samples, goals and logs."""
         return tuple(servo.servo_id for servo in self.servos)
+
+    @cached_property
+    def servo_names(self) -> tuple[str, ...]:
+        """What logs call them; a `+` is in no name of a joint."""
+        return tuple(servo.name + ("" if servo.linkage is None else "+") for servo in self.servos)
+
+    @cached_property
+    def pairs(self) -> tuple[tuple[int, int], ...]:
+        """Places in `servos` of the two servos of every joint that has two."""
+        return tuple((servo.of, index) for index, servo in enumerate(self.servos) if servo.linkage is not None)
 
     @cached_property
     def joint_names(self) -> tuple[str, ...]:

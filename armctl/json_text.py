@@ -19,7 +19,9 @@ def _adapter(kind: Any) -> TypeAdapter[Any]:
 
 def _plain(value: object) -> object:
     if is_dataclass(value):  # not `asdict`, which copies every number of a trajectory
-        return {name.name: getattr(value, name.name) for name in fields(value)}
+        told = fields(value)
+        # What only some arms have is not told of others: logs of old arms stay as they are.
+        return {it.name: v for it in told if (v := getattr(value, it.name)) != it.default or not it.metadata}
     if isinstance(value, bytes):
         return value.hex()
     raise TypeError(f"no JSON form for {type(value).__name__}")

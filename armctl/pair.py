@@ -6,7 +6,7 @@ two stiff servos then push against each other for good. So a pair may have a mea
 """
 
 from bisect import bisect_right
-from typing import Any, Literal, NamedTuple, Self
+from typing import Annotated, Any, Literal, NamedTuple, Self
 
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
@@ -18,6 +18,7 @@ from armctl.strict_yaml import Frozen
 LEAST_SHARE = 0.7
 
 Points = tuple[tuple[float, float], ...]
+Row = Annotated[tuple[float, float], Field(strict=False)]
 
 
 class Linkage(NamedTuple):
@@ -64,16 +65,7 @@ class PairConfig(Frozen):
     zero_tick: float | None = Field(None, ge=-1023.0, le=2046.0)
     # Instead of both, measured by `armctl calibrate --pairs`: what the first servo reads, rising, and what this one
     # reads there.
-    table: tuple[tuple[float, float], ...] | None = Field(None, min_length=2, max_length=64, strict=False)
-
-    @model_validator(mode="before")
-    @classmethod
-    def _rows(cls, told: Any) -> Any:
-        """Rows of a table are lists in a file."""
-        table = told.get("table") if isinstance(told, dict) else None
-        if not isinstance(table, list):
-            return told
-        return told | {"table": [tuple(row) if isinstance(row, list) else row for row in table]}
+    table: tuple[Row, ...] | None = Field(None, min_length=2, max_length=64, strict=False)
 
     @model_validator(mode="after")
     def _check(self) -> Self:

@@ -22,6 +22,7 @@ PURE = (
     "armctl.errors",
     "armctl.messages",
     "armctl.json_text",
+    "armctl.links",
     "armctl.pair",
     "armctl.gripper",
     "armctl.config",

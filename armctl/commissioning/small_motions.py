@@ -128,7 +128,7 @@ def first_motion(bus: ServoBus, arm: ArmConfig, period_s: float) -> None:
     # Three ticks see whether it stands still. It may hold already, where a motion was broken off.
     if [loop.tick(()).outputs.mode for _ in range(3)][-1] is not Mode.HOLDING:
         _carry_out(loop, TorqueOn(1), period_s)
-    here = [joint.position_rad(tick) for joint, tick in zip(arm.joints, loop.state.goal, strict=True)]
+    here = [joint.position_rad(tick) for joint, tick in zip(arm.joints, loop.state.goal, strict=False)]
     to_middle = [sum(joint.limits_rad) / 2.0 for joint in arm.joints] - np.array(here)
     away = (here + np.clip(to_middle, -FIRST_RAD, FIRST_RAD)).tolist()
     for number, (start, end) in enumerate(((here, away), (away, here)), start=2):

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 from armctl.control.faults import KINDS, Cause
 from armctl.control.machine import Phase, Trigger
+from armctl.control.pairs import detect_mismatch
 from armctl.control.relief import PUSH_RATIO, keep_here, pushes, relieve
 from armctl.control.stillness import STILL_TICKS
 from armctl.control.tick import Tick
@@ -56,9 +57,9 @@ def detect_faults(s: Tick) -> None:
             _detect_strain(s)  # they are heard, and whoever they are, this is before a servo's own trip
         return
     # A servo that has never been heard is a matter of what is found when connecting.
-    silent = [i for i, joint in enumerate(s.joints) if (connected or joint.known) and joint.age_s > SILENT_AGE_S]
+    silent = [i for i, servo in enumerate(s.each) if (connected or servo.known) and servo.age_s > SILENT_AGE_S]
     # The ages of a silent bus straddle the bound: its servos were not heard last in one instant.
-    if silent and len(s.joints) > 1 and all(joint.age_s > PAUSE_AGE_S for joint in s.joints):
+    if silent and len(s.each) > 1 and all(servo.age_s > PAUSE_AGE_S for servo in s.each):
         s.latch("BUS_DEAD", "no servo has answered for 0.5 s")
         return
     for i in silent:
@@ -73,6 +74,8 @@ def detect_faults(s: Tick) -> None:
         _detect_contact(s)
     elif state.powered is False:
         _detect_torque(s)
+    if s.arm.pairs:
+        detect_mismatch(s)
     _detect_strain(s)
     _detect_noise(s)
     _call_for_rest(s)
@@ -111,7 +114,7 @@ def _since(s: Tick, since_ns: tuple[int, ...], over: Sequence[bool]) -> tuple[in
     now_ns = s.inputs.now_ns
     return tuple([
         before if not reading.fresh else before or now_ns if high else 0
-        for before, reading, high in zip(since_ns or (0,) * len(over), s.inputs.sample.servos, over, strict=True)
+        for before, reading, high in zip(since_ns or (0,) * len(over), s.inputs.sample.servos, over, strict=False)
     ])  # fmt: skip
 
 
@@ -133,14 +136,15 @@ def _detect_power_faults(s: Tick) -> None:
     state = s.state
     s.confirm_goals()
     # Of one that shows a goal from elsewhere: it is led, and not kept from where it is to be.
+    wanted_rad = s.wanted_rad()
     errors_rad = [
         abs(servo.position - tick) * ax12a.TICK_RAD
         if servo
         and s.is_from_here(i)
-        and abs(s.joints[i].position_rad - wanted) > ASTRAY_RAD
+        and abs(s.each[i].position_rad - wanted_rad[s.wire[i].of]) > ASTRAY_RAD
         and (servo.goal == tick or abs(servo.position - servo.goal) * ax12a.TICK_RAD > THERE_RAD)
         else 0.0
-        for i, (servo, tick, wanted) in enumerate(zip(s.servos, state.goal, s.wanted_rad(), strict=True))
+        for i, (servo, tick) in enumerate(zip(s.servos, state.goal, strict=True))
     ]
     state.error_since_ns = since_ns = _since(s, state.error_since_ns, [error > BLOCKED_RAD for error in errors_rad])
     if state.yielded:
@@ -155,7 +159,7 @@ def _detect_power_faults(s: Tick) -> None:
         elif _lasts(s, since_ns[i], BLOCKED_S):
             found = f"{math.degrees(errors_rad[i]):.1f} deg away from its goal for 0.3 s (bound 8)"
             if s.latch_servo("BLOCKED", i, found):
-                relieve(s, i)
+                relieve(s, s.wire[i].of)
 
 
 def _overruled(s: Tick, i: int, servo: Status) -> bool:
@@ -175,7 +179,7 @@ def _overruled(s: Tick, i: int, servo: Status) -> bool:
 
 def _detect_strain(s: Tick) -> None:
     """Lasting heat, voltage and load: what comes before a servo's own trip."""
-    state, joints, readings = s.state, s.joints, s.inputs.sample.servos
+    state, joints, readings = s.state, s.each, s.inputs.sample.servos
     low_V, high_V = s.arm.voltage_V
     limit_degC = s.arm.temperature_limit_degC
     hot = [
@@ -232,8 +236,8 @@ def _detect_noise(s: Tick) -> None:
     noise = (*s.state.noise[1 - length :], noisy)
     total = sum(noise)
     s.state.noise = noise if total else ()
-    if total > NOISE_SHARE * length * len(s.joints):
-        share = total / (len(noise) * len(s.joints))
+    if total > NOISE_SHARE * length * len(s.wire):
+        share = total / (len(noise) * len(s.wire))
         s.latch("BUS_NOISE", f"{share:.0%} of the replies came damaged in {len(noise) * s.period_s:.0f} s (bound 10%)")
 
 

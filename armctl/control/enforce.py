@@ -57,11 +57,11 @@ def switch_off(s: Tick) -> None:
 
 def _name_the_stiff(s: Tick, index: int) -> None:
     """Tell whoever waits, and the card, which servo is not limp; it is told on."""
-    going, joint = s.state.letting_go, s.arm.joints[index]
+    going, servo = s.state.letting_go, s.wire[index]
     assert going is not None
     found = "torque stays on although it is switched off" if s.heard(index) else "not heard since; it may have torque"
     for request_id in going.request_ids:
-        s.reply(request_id, False, "NOT_LIMP", f"servo {joint.servo_id} ({joint.name}): {found}; support the arm")
+        s.reply(request_id, False, "NOT_LIMP", f"servo {servo.servo_id} ({servo.name}): {found}; support the arm")
     s.state.letting_go = replace(going, request_ids=())
     s.latch_servo("NOT_LIMP", index, found)
 
@@ -70,13 +70,16 @@ def _name_the_stiff(s: Tick, index: int) -> None:
 
 
 def stay(s: Tick, index: int) -> None:
-    """Decide that a joint's goal is where it is now: once, so that gravity does not walk it down."""
-    here = s.here(index)
-    s.remember((*s.state.goal[:index], here, *s.state.goal[index + 1 :]))
+    """Decide that a joint's goal is where it is now: once, so that gravity does not walk it down.
+
+    Each servo of it stays at its own place, so that two do not pull at each other.
+    """
+    here, of = s.here(index), s.wire[index].of
+    s.remember(tuple([s.here(i) if servo.of == of else s.state.goal[i] for i, servo in enumerate(s.wire)]))
     s.state.ramp = ()
     if (f := s.state.following) is not None:
-        here_rad = s.arm.joints[index].position_rad(here)
-        s.state.following = replace(f, wanted_rad=(*f.wanted_rad[:index], here_rad, *f.wanted_rad[index + 1 :]))
+        here_rad = s.wire[index].position_rad(here)
+        s.state.following = replace(f, wanted_rad=(*f.wanted_rad[:of], here_rad, *f.wanted_rad[of + 1 :]))
 
 
 def holds(s: Tick, index: int) -> Status | None:

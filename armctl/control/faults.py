@@ -27,6 +27,8 @@ class Cause(StrEnum):
     SILENCE = "silence"
     HEAT = "heat"
     SUPPLY = "supply"
+    # The two servos of a joint read apart.
+    PAIR = "pair"
     # A servo does not show the goal that was decided for it yet.
     GOAL = "goal"
     # Some servos have full torque, others have not: neither limp nor holding.

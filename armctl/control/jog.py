@@ -19,7 +19,7 @@ import numpy as np
 
 from armctl.config import ArmConfig
 from armctl.control.machine import Jogging, Phase, Trigger
-from armctl.control.motion import aimed, set_off, trim
+from armctl.control.motion import aimed, set_off, share_of_step, trim
 from armctl.control.tick import Tick
 from armctl.errors import IllegalTransition, RequestRefused
 from armctl.kinematics.chain import jacobian
@@ -95,12 +95,12 @@ def advance_jog(s: Tick, jog: Jogging) -> None:
     )
     trim(s)
     goal, following = aimed(s, position, velocity)
-    share = s.share_of_step(goal)
+    share = share_of_step(s, goal)
     if share < 1.0:  # a joint lags behind: it is waited for
         velocity = [share * v for v in velocity]
         position = tuple(a + share * (b - a) for a, b in zip(jog.position_rad, position, strict=True))
         goal, following = aimed(s, position, velocity)
-    if share < 1.0 and s.share_of_step(goal) == 0.0:
+    if share < 1.0 and share_of_step(s, goal) == 0.0:
         jog.velocity_rad_s = (0.0,) * len(velocity)
         return None
     jog.position_rad, jog.velocity_rad_s = position, tuple(velocity)

@@ -24,7 +24,7 @@ fault is latched.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from types import MappingProxyType
 
@@ -360,6 +360,8 @@ class State:
     heat_since_ns: tuple[int, ...] = ()
     supply_since_ns: tuple[int, ...] = ()
     load_since_ns: tuple[int, ...] = ()
+    # The same of each pair of servos on one joint that read apart, or push against each other; an arm may have none.
+    pair_since_ns: tuple[int, ...] = field(default=(), metadata={"of": "some arms"})
     # Readings lost to noise in each of the latest ticks.
     noise: tuple[int, ...] = ()
     # Positions of the previous sample, and of those before it in which none was meant to have torque [tick].

@@ -28,6 +28,11 @@ from armctl.kinematics.chain import jacobian
 from armctl.messages import NS_PER_S, Event, Grip, JointTrajectory
 from armctl.trajectory.lag import lags_rad, side_after
 
+# No goal is sent farther ahead of a servo, which may not be at the last one: fast, loaded, or after a late tick.
+# An arm goes on by at most this much when its program dies; noise and overshoot make it 10 deg.
+LEAD_TICKS = math.radians(9.0) / TICK_RAD
+# What rounding may add to the goal sent last and to a part of the way to the next one.
+ROUNDING_TICKS = 1.0
 # Time in which a stop brings the trajectory's rate from 1 to 0: gentle to the gears, and yet hardly any way on.
 STOP_S = 0.2
 # A load felt for less may be the servo setting off.
@@ -96,16 +101,29 @@ def move(s: Tick, motion: Motion) -> None:
         trim(s)
     progress_s = min(motion.progress_s + rate * s.period_s, end_s)
     goal, following = _aimed_at(s, motion, progress_s)
-    share = s.share_of_step(goal)
+    share = share_of_step(s, goal)
     if share < 1.0:
         progress_s = motion.progress_s + share * (progress_s - motion.progress_s)
         goal, following = _aimed_at(s, motion, progress_s)
-        if s.share_of_step(goal) == 0.0:
+        if share_of_step(s, goal) == 0.0:
             return None  # a joint is too far behind for its correction to lead it on
     motion.progress_s = progress_s
     s.send_goal(goal)
     s.state.following = following
     return None
+
+
+def share_of_step(s: Tick, goal: list[int]) -> float:
+    """How much of the way from the last goal to `goal` may be sent now: a servo that lags behind is waited for."""
+    share = 1.0
+    for servo, last, tick in zip(s.servos, s.state.goal, goal, strict=False):
+        assert servo is not None
+        ahead = abs(tick - servo.position)
+        if ahead > LEAD_TICKS:
+            behind = abs(last - servo.position)
+            room = max(0.0, LEAD_TICKS - ROUNDING_TICKS - behind)
+            share = min(share, room / (ahead - behind) if ahead > behind else 1.0)
+    return share
 
 
 def _arrives(s: Tick, motion: Motion, end_s: float) -> bool:
@@ -114,8 +132,8 @@ def _arrives(s: Tick, motion: Motion, end_s: float) -> bool:
         return False
     last = s.state.following
     if s.fresh and last is not None:
-        goal, following = aimed(s, sample_trajectory(motion.trajectory, end_s), (0.0,) * len(s.wire))
-        if following.given_rad == last.given_rad or s.share_of_step(goal) == 0.0:
+        goal, following = aimed(s, sample_trajectory(motion.trajectory, end_s), (0.0,) * len(s.joints))
+        if following.given_rad == last.given_rad or share_of_step(s, goal) == 0.0:
             return False
         s.send_goal(goal)
         s.state.following = following
@@ -159,7 +177,7 @@ def _tell_marks(s: Tick, motion: Motion) -> None:
 
 def set_off(s: Tick, *, corrected: bool = True) -> None:
     """A motion begins where the joints are wanted, with the correction that they have."""
-    wanted, zeros, last = s.wanted_rad(), (0.0,) * len(s.wire), s.state.following
+    wanted, zeros, last = s.wanted_rad(), (0.0,) * len(s.joints), s.state.following
     before = tuple([goal - q for goal, q in zip(s.goals_rad(), wanted, strict=True)])
     side = zeros if last is None else last.side
     s.state.following = Following(corrected and s.arm.correction, wanted, zeros, side, zeros, before, before)
@@ -187,7 +205,7 @@ def aimed(s: Tick, wanted_rad: Sequence[float], velocity_rad_s: Sequence[float])
     wanted = tuple(wanted_rad)
     side = tuple([side_after(h, b - a) for h, a, b in zip(f.side, f.wanted_rad, wanted, strict=True)])
     age_s = f.age_s + s.period_s
-    lags = [0.0] * len(s.wire)
+    lags = [0.0] * len(s.joints)
     if f.corrected:
         lags[: s.robot.chain.n] = lags_rad(s.lag_model(), s.robot.chain, wanted, side, velocity_rad_s)
     share = min(1.0, age_s / BLEND_S)
@@ -205,7 +223,7 @@ def aimed(s: Tick, wanted_rad: Sequence[float], velocity_rad_s: Sequence[float])
 
 def _exact(s: Tick, f: Following) -> list[float]:
     """The corrected goals [tick], before they are made whole."""
-    joints = zip(s.wire, f.wanted_rad, f.given_rad, strict=True)
+    joints = zip(s.wire, f.wanted_rad, f.given_rad, strict=False)
     return [joint.zero_tick + joint.direction * (q + given) / TICK_RAD for joint, q, given in joints]
 
 
@@ -262,7 +280,7 @@ def _hold_gripped(s: Tick, motion: Motion, grip: Grip) -> None:
     load_ratio = abs(joint.load_ratio)
     # A servo's load grows with the distance to its goal.
     inside = (s.state.goal[grip.joint] - servo.position) * grip.load_ratio / load_ratio
-    goal = list(s.state.goal)
+    goal = list(s.state.goal[: len(s.joints)])
     goal[grip.joint] = servo.position + round(inside)
     s.send_goal(goal)
     name, position_deg = s.arm.joints[grip.joint].name, math.degrees(joint.position_rad)

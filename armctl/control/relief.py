@@ -17,6 +17,7 @@ Rules.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 from armctl.control.enforce import holds, stay
@@ -61,7 +62,7 @@ def look_for_push(s: Tick) -> None:
         if not there or now_ns - (look.since_ns or now_ns) < STAND_NS:
             s.state.looks += (replace(look, since_ns=there and (look.since_ns or now_ns)),)
         elif look.relieved:
-            borne = s.state.borne_ratio or (0.0,) * len(s.wire)
+            borne = s.state.borne_ratio or (0.0,) * len(s.joints)
             s.state.borne_ratio = (*borne[:i], borne[i] + _beyond(s)[i], *borne[i + 1 :])
         elif _is_too_far(s, i):
             relieve(s, i)
@@ -86,14 +87,14 @@ def _beyond(s: Tick) -> list[float]:
 
 
 def _is_too_far(s: Tick, index: int) -> bool:
-    """Whether a joint is farther from its goal than gravity explains."""
-    servo, (low, high) = s.status(index), explained_ratio(s)[index]
+    """Whether a servo is farther from its goal than gravity explains."""
+    servo, (low, high) = s.status(index), explained_ratio(s)[s.wire[index].of]
     ahead_rad = _ahead_rad(s, index)
     return not -ax12a.distance_rad(servo, -low) - PUSH_RAD <= ahead_rad <= ax12a.distance_rad(servo, high) + PUSH_RAD
 
 
 def _ahead_rad(s: Tick, index: int) -> float:
-    """By how much a joint's goal is ahead of it, the way the joint counts."""
+    """By how much a servo's goal is ahead of it, the way its joint counts."""
     servo = s.status(index)
     return s.wire[index].direction * (servo.goal - servo.position) * ax12a.TICK_RAD
 
@@ -142,25 +143,34 @@ def _beyond_bound(s: Tick) -> list[float]:
 
 def keep_here(s: Tick, index: int) -> None:
     """Let a servo that has torque, on an arm that is limp, be where it is, unless it only bears its weight."""
-    if _is_too_far(s, index) or _beyond_bound(s)[index] > 0.0:
+    if _is_too_far(s, index) or _beyond_bound(s)[s.wire[index].of] > 0.0:
         s.write(s.wire[index].servo_id, ax12a.MOVING_SPEED, s.wire[index].speed_limit_units)
         s.write(s.wire[index].servo_id, ax12a.GOAL, s.here(index))
 
 
 def explained_ratio(s: Tick) -> list[tuple[float, float]]:
     """Lowest and highest output of every joint that gravity, a grip or a weight found before explains."""
-    borne = s.state.borne_ratio or (0.0,) * len(s.wire)
+    borne, servos = s.state.borne_ratio or (0.0,) * len(s.joints), servos_of(s)
     gripper = s.arm.gripper.joint if s.arm.gripper else ""
     found = []
-    for joint, now, (low_Nm, high_Nm), weight in zip(s.arm.joints, s.joints, _holding_Nm(s), borne, strict=True):
-        strength_Nm = STRENGTH_SHARE * MODELS[joint.model].stall_torque_Nm * max(now.voltage_V, 1.0) / RATED_V
+    rows = zip(s.arm.joints, s.joints, _holding_Nm(s, servos), borne, servos, strict=True)
+    for joint, now, (low_Nm, high_Nm), weight, count in rows:
+        strength_Nm = STRENGTH_SHARE * MODELS[joint.model].stall_torque_Nm * max(now.voltage_V, 1.0) / RATED_V * count
         grip = GRIP_RATIO if joint.name == gripper else 0.0
         low, high = low_Nm / strength_Nm - grip, high_Nm / strength_Nm + grip
         found.append((low + min(weight, 0.0), high + max(weight, 0.0)))
     return found
 
 
-def _holding_Nm(s: Tick) -> list[tuple[float, float]]:
+def servos_of(s: Tick) -> list[int]:
+    """How many servos turn each joint."""
+    count = [1] * len(s.joints)
+    for first, _ in s.arm.pairs:
+        count[first] += 1
+    return count
+
+
+def _holding_Nm(s: Tick, servos: Sequence[int]) -> list[tuple[float, float]]:
     """Lowest and highest torque of every joint that holds the arm in its present pose, or leaves it leaning.
 
     g sum(m z x r) along z of the base, each m as light or heavy as it may be.
@@ -168,9 +178,10 @@ def _holding_Nm(s: Tick) -> list[tuple[float, float]]:
     chain = s.robot.chain
     frames = frames_of_one(chain, [joint.position_rad for joint in s.joints[: chain.n]])
     turning, (*_, tool) = chain.turning(frames), frames[-1]
-    points = [(*P[:2], *SERVO_KG) for _, _, _, P in turning]
+    least_kg, most_kg = SERVO_KG
+    points = [(*P[:2], count * least_kg, count * most_kg) for (_, _, _, P), count in zip(turning, servos, strict=False)]
     # Servos of a wrist roll or a gripper sit anywhere from the last axis to the tool.
-    beyond_kg = (len(s.wire) - chain.n) * SERVO_KG[1]
+    beyond_kg = sum(servos[chain.n :]) * most_kg
     points.append((*points[-1][:2], 0.0, beyond_kg))
     points.append((*tool[:2], TOOL_KG[0], TOOL_KG[1] + beyond_kg))
     found = []
@@ -181,4 +192,4 @@ def _holding_Nm(s: Tick) -> list[tuple[float, float]]:
             low += Nm_kg * (light_kg if Nm_kg > 0.0 else heavy_kg)
             high += Nm_kg * (heavy_kg if Nm_kg > 0.0 else light_kg)
         found.append((min(low, 0.0), max(high, 0.0)))
-    return found + [(0.0, 0.0)] * (len(s.wire) - chain.n)
+    return found + [(0.0, 0.0)] * (len(s.joints) - chain.n)

@@ -14,6 +14,7 @@ from armctl.control.detect import PAUSE_AGE_S
 from armctl.control.faults import SETTLING, Cause
 from armctl.control.machine import TO_REST, Motion, Phase, Trigger
 from armctl.control.motion import set_off
+from armctl.control.pairs import mismatches
 from armctl.control.sequences import soften
 from armctl.control.tick import Tick
 from armctl.dynamixel import ax12a
@@ -148,19 +149,17 @@ def _torque_on(s: Tick, request_id: int) -> None:
         if code := {Cause.HEAT: "HOT", Cause.SUPPLY: "VOLTAGE"}.get(cause):
             raise RequestRefused(code, f"the arm would go to rest: {text}")
     ticks = []
-    for index, joint in enumerate(s.arm.joints):
+    for index, servo in enumerate(s.wire):
         position, still, _ = s.limp_shaft(index)
         if still is False:
-            raise RequestRefused("JUMP_REFUSED", f"joint {joint.name} is moving; hold the arm still")
-        low, high = joint.limits_tick
-        if not low - EDGE_TICKS <= position <= high + EDGE_TICKS:
-            position_deg = math.degrees(joint.position_rad(position))
+            raise RequestRefused("JUMP_REFUSED", f"joint {servo.name} is moving; hold the arm still")
+        if not servo.low_tick - EDGE_TICKS <= position <= servo.high_tick + EDGE_TICKS:
+            position_deg, (low, high) = math.degrees(servo.position_rad(position)), s.arm.joints[servo.of].limits_deg
             raise RequestRefused(
                 "LIMIT",
-                f"joint {joint.name} is at {position_deg:.1f} deg, outside {joint.limits_deg[0]:g} to "
-                f"{joint.limits_deg[1]:g}; move it inside by hand",
+                f"joint {servo.name} is at {position_deg:.1f} deg, outside {low:g} to {high:g}; move it inside by hand",
             )
-        ticks.append(s.wire[index].within_limits(position))
+        ticks.append(servo.within_limits(position))
     s.go(Trigger.TORQUE_ON)
     soften(s)
     state.powered = None
@@ -279,18 +278,20 @@ def persisting_causes(s: Tick) -> Iterator[tuple[Cause, str]]:
     for problem in s.state.problems:
         yield Cause.PROBLEM, problem.text
     # By age: one reply that was lost just now says nothing about a servo that answers.
-    if silent := _names(s, [not now.known or now.age_s > PAUSE_AGE_S for now in s.joints]):
+    if silent := _names(s, [not now.known or now.age_s > PAUSE_AGE_S for now in s.each]):
         yield Cause.SILENCE, f"no reply from {silent}; check the cable and the supply"
         return  # what the servos said long ago tells nothing about now
     limit_degC = s.arm.temperature_limit_degC
-    if hot := _names(s, [now.temperature_degC >= limit_degC for now in s.joints]):
+    if hot := _names(s, [now.temperature_degC >= limit_degC for now in s.each]):
         yield Cause.HEAT, f"{hot} above {limit_degC:g} degC; let it cool"
     low_V, high_V = s.arm.voltage_V
-    if wrong := [f"{now.voltage_V:.1f} V" for now in s.joints if not low_V <= now.voltage_V <= high_V]:
+    if wrong := [f"{now.voltage_V:.1f} V" for now in s.each if not low_V <= now.voltage_V <= high_V]:
         text = f"the supply gives {wrong[0]}, outside {low_V:g} to {high_V:g} V; check the power supply"
         yield Cause.SUPPLY, text
+    if apart := "; ".join(mismatches(s)):
+        yield Cause.PAIR, f"{apart}; see the horns, or type `armctl calibrate --pairs`"
     if s.state.letting_go is not None:
-        names = ", ".join(s.arm.joint_names[i] for i in s.state.letting_go.stiff)
+        names = _names(s, [i in s.state.letting_go.stiff for i in range(len(s.wire))])
         yield Cause.TORQUE, f"torque is still going off ({names}); support the arm and type `armctl release`"
         return
     if goal := () if s.state.yielded else s.state.goal:
@@ -302,9 +303,10 @@ def persisting_causes(s: Tick) -> Iterator[tuple[Cause, str]]:
     limp = limp or _names(s, [not torque for torque in on])
     if any(on) and limp:
         yield Cause.TORQUE, f"{limp} limp while others hold; support the arm and type `armctl release`"
-    elif weak := ", ".join(s.arm.joint_names[i] for i in s.weak_joints()):
+    elif weak := _names(s, [i in s.weak_servos() for i in range(len(s.wire))]):
         yield Cause.TORQUE, f"{weak} without full torque; support the arm and type `armctl release`"
 
 
 def _names(s: Tick, which: Sequence[bool]) -> str:
-    return ", ".join(name for name, named in zip(s.arm.joint_names, which, strict=True) if named)
+    """The joints of these servos."""
+    return ", ".join(dict.fromkeys(servo.name for servo, named in zip(s.wire, which, strict=True) if named))

@@ -41,7 +41,7 @@ def adopt(s: Tick) -> None:
         return
     powered = [servo is not None and servo.torque_enabled for servo in s.servos]
     tripped = [i for i, servo in enumerate(s.servos) if servo is not None and servo.torque_limit == 0]
-    weak = s.weak_joints()
+    weak = s.weak_servos()
     if not any(powered):
         s.go(Trigger.ADOPT_LIMP)
         s.state.powered = False
@@ -114,8 +114,8 @@ def energise(s: Tick) -> None:
 def soften(s: Tick) -> bool:
     """Write the settings and the soft torque limit that some servo does not show yet; whether there was one."""
     before = len(s.writes)
-    for joint, reading in zip(s.arm.joints, s.inputs.sample.servos, strict=True):
-        compliance = joint.compliance
+    for servo, reading in zip(s.arm.servos, s.inputs.sample.servos, strict=True):
+        compliance = servo.joint.compliance
         for register, value in (
             (ax12a.CW_MARGIN, compliance.margin),
             (ax12a.CCW_MARGIN, compliance.margin),
@@ -125,7 +125,7 @@ def soften(s: Tick) -> bool:
             (ax12a.TORQUE_LIMIT, SOFT_TORQUE),
         ):
             if ax12a.register_value(register, reading.registers) != value:
-                s.write(joint.servo_id, register, value)
+                s.write(servo.servo_id, register, value)
     return len(s.writes) > before
 
 
@@ -148,8 +148,8 @@ def _at_full_torque(s: Tick) -> bool:
 
 def _surprise(s: Tick, index: int, anchor: int, limp: Shaft | None) -> tuple[str, str] | None:
     """What is not as it should be with one servo while torque comes on, and its code; None: nothing."""
-    joint, servo, full = s.arm.joints[index], s.status(index), s.wire[index].full_torque
-    who = f"servo {joint.servo_id} ({joint.name})"
+    servo, full = s.status(index), s.wire[index].full_torque
+    who = f"servo {s.wire[index].servo_id} ({s.wire[index].name})"
     softening, preparing = s.state.phase is Phase.SOFTENING, s.state.phase is Phase.PREPARING
     too_long = limp is not None and limp.still is None and s.state.ticks > s.ticks_in(STILL_S)
     if limp is not None and (limp.still is False or too_long):

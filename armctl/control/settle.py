@@ -133,7 +133,7 @@ def _length(v: Sequence[float]) -> float:
 
 def _change(s: Tick, f: Following, changes: Sequence[int], slack_rad: Sequence[float]) -> list[float]:
     """Have the joints turn by so many ticks; by how much the goal of each changes that turns back [rad]."""
-    trims, sides, goal, back = list(f.trim_rad), list(f.side), list(s.state.goal), [0.0] * len(changes)
+    trims, sides, goal, back = list(f.trim_rad), list(f.side), list(s.state.goal[: len(s.joints)]), [0.0] * len(changes)
     for i, change in enumerate(changes):
         if not change:
             continue

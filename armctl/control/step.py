@@ -22,6 +22,7 @@ from armctl.control.enforce import hold_goals, switch_off
 from armctl.control.jog import advance_jog
 from armctl.control.machine import ENERGISING, MODE, TO_REST, Jogging, Motion, Phase, State
 from armctl.control.motion import duration_s, move
+from armctl.control.pairs import folded
 from armctl.control.relief import look_for_push
 from armctl.control.requests import carry_out
 from armctl.control.sequences import adopt, energise, go_to_rest
@@ -43,14 +44,15 @@ def step(state: State, inputs: Inputs, arm: ArmConfig, robot: Robot, period_s: f
 
     Args:
         state: What the last step remembered; `State()` at first. It stays as it is.
-        inputs: This tick's sample and commands; `sample.servos` in the order of `arm.joints`.
+        inputs: This tick's sample and commands; `sample.servos` in the order of `arm.servos`.
         period_s: Time between ticks.
     """
     readings = inputs.sample.servos
     servos = tuple([ax12a.decode(reading.registers) for reading in readings])
     state, wire = _own(state), wire_joints(arm)
-    joints, fresh = _joint_states(inputs, servos, wire), all(reading.fresh for reading in readings)
-    s = Tick(state, inputs, arm, wire, robot, period_s, joints, servos, fresh)
+    each, fresh = _servo_states(inputs, servos, wire), all(reading.fresh for reading in readings)
+    joints = folded(each, readings, arm) if arm.pairs else each
+    s = Tick(state, inputs, arm, wire, robot, period_s, joints, each, servos, fresh)
     state.ticks += 1
     detect_faults(s)
     look_at_ramps(s)
@@ -119,10 +121,10 @@ def _advance(s: Tick) -> None:
         hold_goals(s)
 
 
-def _joint_states(
+def _servo_states(
     inputs: Inputs, servos: tuple[Status | None, ...], wire: tuple[WireJoint, ...]
 ) -> tuple[JointState, ...]:
-    """Every joint in SI: the servo's numbers, turned where the servo is mounted the other way round."""
+    """What every servo makes of its joint, in SI: its numbers, turned where it is mounted the other way round."""
     now_ns = inputs.now_ns
     return tuple([
         JointState(False, 0.0, 0.0, 0.0, 0.0, 0.0, False, now_ns / 1e9)

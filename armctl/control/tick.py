@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, TypeVar
 
-from armctl.config import ArmConfig, JointConfig
+from armctl.config import ArmConfig, Servo
 from armctl.control.faults import KINDS, with_fault
 from armctl.control.machine import ENERGISING, LATCHED, TO_REST, TRANSITIONS, LettingGo, Look, Phase, State, Trigger
 from armctl.control.stillness import Shaft, shaft
@@ -13,13 +13,9 @@ from armctl.dynamixel import ax12a
 from armctl.dynamixel.ax12a import Register, Status
 from armctl.kinematics.robots.robot import Robot
 from armctl.messages import NS_PER_S, Event, Fault, Goal, Inputs, JointState, LagModel, Reply, Write
+from armctl.pair import Linkage
 from armctl.trajectory.lag import nominal
 
-# No goal is sent farther ahead of a servo, which may not be at the last one: fast, loaded, or after a late tick.
-# An arm goes on by at most this much when its program dies; noise and overshoot make it 10 deg.
-LEAD_TICKS = math.radians(9.0) / ax12a.TICK_RAD
-# What rounding may add to the goal sent last and to a part of the way to the next one.
-ROUNDING_TICKS = 1.0
 # The goals of so long are remembered, and some at the slowest period.
 SENT_S, SENT_LEAST = 1.0, 8
 LED_OFF_TICKS = math.radians(12.0) / ax12a.TICK_RAD
@@ -44,24 +40,33 @@ class WireJoint(NamedTuple):
     speed_limit_units: int
     # Torque limit with which the servo holds.
     full_torque: int
-
-    def tick(self, position_rad: float) -> float:
-        """Servo position [tick, unrounded] of a joint position."""
-        return self.zero_tick + self.direction * position_rad / ax12a.TICK_RAD
+    name: str
+    # Index of the joint that it turns.
+    of: int
+    # How it reads against that joint's first servo, which has `zero_tick`; None: it is that.
+    linkage: Linkage | None
 
     def position_rad(self, tick: float) -> float:
         """Joint position of a servo position [tick]."""
+        if self.linkage is not None:
+            return self.linkage.sense * self.direction * (self.linkage.first(tick) - self.zero_tick) * ax12a.TICK_RAD
         return self.direction * (tick - self.zero_tick) * ax12a.TICK_RAD
+
+    def beside(self, tick: int) -> int:
+        """Goal [tick] of a second servo where the first one of its joint has the goal `tick`."""
+        return self.within_limits(tick if self.linkage is None else round(self.linkage.second(tick)))
 
     def within_limits(self, tick: int) -> int:
         """A position [tick], or the limit that it is beyond."""
         return min(max(tick, self.low_tick), self.high_tick)
 
 
-def _wire_joint(joint: JointConfig) -> WireJoint:
-    speed_rad_s = joint.speed_limit_rad_s
+def _wire_joint(servo: Servo) -> WireJoint:
+    joint, link = servo.joint, servo.linkage
+    direction, speed_rad_s = joint.direction * (1 if link is None else link.sense), joint.speed_limit_rad_s
     units = ax12a.moving_speed_units(speed_rad_s), round(ax12a.TORQUE_LIMIT.maximum * joint.torque_limit_ratio)
-    return WireJoint(joint.servo_id, joint.direction, joint.zero_tick, *joint.limits_tick, speed_rad_s, *units)
+    placed = servo.servo_id, direction, joint.zero_tick, *servo.limits_tick
+    return WireJoint(*placed, speed_rad_s, *units, joint.name, servo.of, link)
 
 
 def of_latest_arm(make: Callable[..., Made]) -> Callable[..., Made]:
@@ -78,8 +83,8 @@ def of_latest_arm(make: Callable[..., Made]) -> Callable[..., Made]:
 
 @of_latest_arm
 def wire_joints(arm: ArmConfig) -> tuple[WireJoint, ...]:
-    """Every joint of an arm in the units of the wire."""
-    return tuple(map(_wire_joint, arm.joints))
+    """Every servo of an arm in the units of the wire: those of its joints, and behind them the second ones of pairs."""
+    return tuple(map(_wire_joint, arm.servos))
 
 
 _nominal = of_latest_arm(nominal)
@@ -99,6 +104,8 @@ class Tick:
     robot: Robot
     period_s: float
     joints: tuple[JointState, ...]
+    # The same of each servo alone, in the order of `wire`.
+    each: tuple[JointState, ...]
     # What each servo says; None: it was never heard.
     servos: tuple[Status | None, ...]
     # Whether every servo was heard in this very sample.
@@ -171,16 +178,17 @@ class Tick:
         return self.state.model or _nominal(self.arm, self.robot.chain)
 
     def goals_rad(self) -> tuple[float, ...]:
-        """Where the goals are that were decided; empty: there are none."""
-        return tuple([joint.position_rad(tick) for joint, tick in zip(self.wire, self.state.goal, strict=False)])
+        """Where the joints' goals are that were decided; empty: there are none."""
+        goal = self.state.goal[: len(self.joints)]
+        return tuple([joint.position_rad(tick) for joint, tick in zip(self.wire, goal, strict=False)])
 
     def wanted_rad(self) -> tuple[float, ...]:
         """Where the joints are wanted; empty: nowhere."""
         following = self.state.following
         return self.goals_rad() if following is None else following.wanted_rad
 
-    def weak_joints(self) -> list[int]:
-        """Which joints have torque but too little to hold: whatever switched it on did not come to its end."""
+    def weak_servos(self) -> list[int]:
+        """Which servos have torque but too little to hold: whatever switched it on did not come to its end."""
         both = enumerate(zip(self.servos, self.wire, strict=True))
         return [i for i, (it, joint) in both if it and it.torque_enabled and it.torque_limit < joint.full_torque]
 
@@ -188,8 +196,8 @@ class Tick:
 
     def latch_servo(self, code: str, index: int, problem: str) -> bool:
         """See `latch`."""
-        joint = self.arm.joints[index]
-        return self.latch(code, f"servo {joint.servo_id} ({joint.name}): {problem}", joint.servo_id)
+        servo = self.wire[index]
+        return self.latch(code, f"servo {servo.servo_id} ({servo.name}): {problem}", servo.servo_id)
 
     def latch(self, code: str, text: str, servo_id: int | None = None) -> bool:
         """Latch a fault, and do what its row in `faults.FAULTS` says; False: it is latched already."""
@@ -228,7 +236,7 @@ class Tick:
     def look_for_push(self) -> None:
         """Have every joint looked at once it stands (see relief.py), but those relieved just now."""
         waiting = tuple([look for look in self.state.looks if look.relieved])
-        others = set(range(len(self.wire))).difference([look.joint for look in waiting])
+        others = set(range(len(self.joints))).difference([look.joint for look in waiting])
         self.state.looks = (*waiting, *map(Look, sorted(others)))
 
     def finish_motion(self, code: str, text: str) -> None:
@@ -316,7 +324,7 @@ class Tick:
         state, now_ns = self.state, self.inputs.now_ns
         if state.goal and goal != state.goal:
             state.sent, state.heard_since = (state.goal, *state.sent), (0, *state.heard_since)
-            since_ns = zip(state.push_since_ns or (0,) * len(goal), goal, state.goal, strict=True)
+            since_ns = zip(state.push_since_ns or (0,) * len(self.joints), goal, state.goal, strict=False)
             state.push_since_ns = tuple([since if new == old else 0 for since, new, old in since_ns])
         state.goal, state.goal_ns = goal, now_ns
 
@@ -347,11 +355,13 @@ class Tick:
     def send_goal(self, ticks: Sequence[int]) -> None:
         """Goal and speed for every servo, inside the limits; each arrives in one tick from where its ramp is by now.
 
+        Of as many ticks as there are joints, those of second servos follow by how they read against the first ones.
         None is sent to an arm that is being let go: it would energise what is limp already.
         """
         if self.state.letting_go is not None:
             return
-        goal = [joint.within_limits(tick) for joint, tick in zip(self.wire, ticks, strict=True)]
+        goal = [joint.within_limits(tick) for joint, tick in zip(self.wire, ticks, strict=False)]
+        goal += [servo.beside(goal[servo.of]) for servo in self.wire[len(goal) :]]
         self.ramp = self.ramps()
         begin, tick_rad_s = self.ramp or goal, ax12a.TICK_RAD / self.period_s
         limits = [joint.speed_limit_units for joint in self.wire]
@@ -381,15 +391,3 @@ class Tick:
             way = min(left * share, joint.speed_limit_rad_s * time_s / ax12a.TICK_RAD)
             now.append(tick if way >= left else at + math.copysign(way, tick - at))
         return tuple(now)
-
-    def share_of_step(self, goal: list[int]) -> float:
-        """How much of the way from the last goal to `goal` may be sent now: a servo that lags behind is waited for."""
-        share = 1.0
-        for servo, last, tick in zip(self.servos, self.state.goal, goal, strict=True):
-            assert servo is not None
-            ahead = abs(tick - servo.position)
-            if ahead > LEAD_TICKS:
-                behind = abs(last - servo.position)
-                room = max(0.0, LEAD_TICKS - ROUNDING_TICKS - behind)
-                share = min(share, room / (ahead - behind) if ahead > behind else 1.0)
-        return share

@@ -16,11 +16,11 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from armctl.config import LONGEST_LINK_M
 from armctl.errors import ConfigError
 from armctl.kinematics.chain import DHRow
 from armctl.kinematics.robots.table import row_of
 from armctl.kinematics.transform import FloatArray, pose_from_xyz_rpy, rpy_from_matrix
+from armctl.links import LONGEST_LINK_M
 
 MOST_BYTES = 2**20
 TURNING = ("revolute", "continuous")

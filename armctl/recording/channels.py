@@ -141,7 +141,7 @@ def servos_row(record: TickRecord, anchor: Anchor, arm: ArmConfig) -> Row:
     for reading in readings:
         numbers += (reading.servo_id, reading.fresh, reading.error, reading.stamp_ns, reading.registers)
     shape = tuple([(reading.problem, len(reading.registers)) for reading in readings])
-    return Row(SERVOS, shape, numbers, partial(_servos, header, readings, arm.joint_names))
+    return Row(SERVOS, shape, numbers, partial(_servos, header, readings, arm.servo_names))
 
 
 def command_messages(record: TickRecord) -> list[Message]:
@@ -164,9 +164,9 @@ def output_rows(record: TickRecord, anchor: Anchor, arm: ArmConfig, robot: Robot
     names = tuple([name for name, _ in known])
     rows = [Row(JOINT_STATES, names, stamp + numbers, partial(_joints, header, names, numbers))]
     if (goal := outputs.goal) is not None:
-        numbers = [joint.position_rad(tick) for joint, tick in zip(arm.joints, goal.ticks, strict=True)]
+        numbers = [servo.position_rad(tick) for servo, tick in zip(arm.servos, goal.ticks, strict=True)]
         numbers += [speed * ax12a.SPEED_UNIT_RAD_S for speed in goal.speeds]
-        rows.append(Row(JOINT_COMMANDS, (), stamp + numbers, partial(_joints, header, arm.joint_names, numbers)))
+        rows.append(Row(JOINT_COMMANDS, (), stamp + numbers, partial(_joints, header, arm.servo_names, numbers)))
     if (tool := outputs.tool) is not None:
         q = np.array([joint.position_rad for joint in outputs.joints])
         frames = [_placing(T) for T in moving_frames(arm, robot, q)]
@@ -251,12 +251,12 @@ def diagnostics(record: TickRecord, anchor: Anchor, arm: ArmConfig) -> Message:
     facts = {"mode": outputs.mode, "fault": fault.code if fault else "", "port_open": sample.port_open}
     message = f"{outputs.mode}: {fault.code}: {fault.text}" if fault else f"{outputs.mode}"
     status = [_status(2 if fault else 0, "arm", message, arm.arm_id, facts)]
-    for config, joint, reading in zip(arm.joints, outputs.joints, sample.servos, strict=True):
-        level, message, facts = 3, "never answered", {}
+    for servo, name, reading in zip(arm.servos, arm.servo_names, sample.servos, strict=True):
+        level, message, facts, joint = 3, "never answered", {}, outputs.joints[servo.of]
         if joint.known:
             message = reading.problem or " ".join(ax12a.ErrorBit.names(reading.error)) or "ok"
             level, facts = int(message != "ok"), {key: getattr(joint, key) for key in _HEALTH}
-        status.append(_status(level, config.name, message, f"servo {config.servo_id}", facts))
+        status.append(_status(level, name, message, f"servo {servo.servo_id}", facts))
     return DIAGNOSTICS, {"header": _header(_epoch_ns(record, anchor)), "status": status}
 
 

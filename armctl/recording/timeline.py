@@ -269,7 +269,7 @@ def _enter(arm: ArmConfig, topic: str, columns: dict[str, Any], rows: Any, kept:
         for index, (name,) in enumerate(names):  # or there is more than one at its place
             for key, quantity in channels.QUANTITIES.items():
                 values[quantity][rows, arm.joint_names.index(name)] = columns[key][kept, index]
-    elif f"servos[{len(arm.joints)}].id" in columns:
+    elif f"servos[{len(arm.servos)}].id" in columns:
         raise ValueError("another number of servos")
     else:
         for index, joint in enumerate(arm.joints):

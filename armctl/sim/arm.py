@@ -23,6 +23,7 @@ from armctl.sim.build import build
 from armctl.sim.faults import Faults, Planned
 from armctl.sim.hand import Hand
 from armctl.sim.joint import STEP_S, Joint
+from armctl.sim.pair import SecondServo
 from armctl.sim.spec import DEFAULT_SPEC, ArmSpec
 
 STEP_NS = 1_000_000
@@ -48,7 +49,7 @@ class SimulatedArm:
         # As `PointMasses` has them.
         self.points_kg = masses.points_kg
         self._body = Body(self._joints, masses, spec)
-        # In the order of the calibration's joints.
+        # In the order of the calibration's `servos`.
         self.servos = tuple(joint.servo for joint in self._joints)
         self._origin_ns: int | None = None
         # When a servo will be too hot if the arm stays at rest; None: not known yet.
@@ -85,7 +86,7 @@ class SimulatedArm:
         """Joint positions of the output shafts [rad], shape (n,): no quantisation, noise or zero offset."""
         self._take_aim()
         self._body.catch_up()
-        return np.array([joint.position_rad() for joint in self._joints])
+        return np.array([joint.position_rad() for joint in self._joints[: len(self.config.joints)]])
 
     def true_tool_position(self) -> FloatArray:
         """Tool point of the true geometry [m], shape (3,)."""
@@ -137,7 +138,7 @@ class SimulatedArm:
             return
         body.resting = False
         begin = body.chunk_begin if body.step < body.chunk_end else body.step
-        for joint, aim_rad, speed_rad_s in zip(self._joints, *self.hand.aim(begin * STEP_S), strict=True):
+        for joint, aim_rad, speed_rad_s in zip(self._joints, *self.hand.aim(begin * STEP_S), strict=False):
             joint.take_aim(aim_rad, speed_rad_s)
 
     def _take_drive(self, joint: Joint) -> None:
@@ -176,6 +177,9 @@ class SimulatedArm:
             for planned in due:
                 if planned.fault.servo_id in (None, servo_id):
                     self._apply_occasion(planned, joint)
+            if isinstance(joint, SecondServo):
+                slip = faults.in_force("pair_mismatch", servo_id)
+                joint.slip_tick = 0.0 if slip is None else slip.amount
             joint.dead_motor = faults.in_force("stuck_joint", servo_id) is not None
             # A shaft that is held stays where it is, and a sensor that is frozen goes on reading the same.
             joint.blocked_rad = servo.shaft_rad if faults.in_force("blocked_joint", servo_id) else None

@@ -2,10 +2,11 @@
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from armctl.config import ArmConfig, JointConfig
+from armctl.config import ArmConfig, JointConfig, Servo
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.servos import DEFAULT, MODELS, ServoModel
 from armctl.kinematics import robots
@@ -13,6 +14,7 @@ from armctl.kinematics.chain import SerialChain
 from armctl.sim.geometry import PERFECT, Draws
 from armctl.sim.gravity import PointMasses
 from armctl.sim.joint import STEP_S, Joint
+from armctl.sim.pair import paired
 from armctl.sim.servo import SimulatedServo
 from armctl.sim.spec import ArmSpec
 
@@ -47,6 +49,13 @@ def build(arm: ArmConfig, spec: ArmSpec, seed: int) -> tuple[SerialChain, list[J
         _make_its_own(joint, draws)
     servo_kg = spec.servo_kg + spec.bracket_kg
     servos_kg = [servo_kg * (1.0 + spec.mass_spread * float(rng.uniform(-1.0, 1.0))) for _ in joints]
+    for servo in arm.servos[len(joints) :]:
+        second, offset_tick = _second(servo, _of_model(spec, MODELS[servo.model]), seed)
+        _make_its_own(second, draws)
+        assert servo.linkage is not None
+        joints[servo.of], second = paired(joints[servo.of], second, servo.linkage, offset_tick)
+        joints.append(second)
+        servos_kg[servo.of] += servo_kg
     # Servos beyond the chain sit midway between its last axis and the tool.
     return chain, joints, PointMasses(chain, (*servos_kg[: chain.n], sum(servos_kg[chain.n :]), tool_kg))
 
@@ -71,6 +80,19 @@ def _of_model(spec: ArmSpec, model: ServoModel) -> ArmSpec:
         stall_torque_Nm=spec.stall_torque_Nm * (model.stall_torque_Nm / usual.stall_torque_Nm),
         no_load_speed_rad_s=spec.no_load_speed_rad_s * (model.no_load_rpm / usual.no_load_rpm),
     )
+
+
+def _second(servo: Servo, spec: ArmSpec, seed: int) -> tuple[Joint, float]:
+    """The second servo of a joint, and by how many ticks it is off what the arm's file says of it."""
+    joint, rng = servo.joint, np.random.default_rng((seed, 0x2ED, servo.servo_id))
+    assert servo.linkage is not None
+    turned: dict[str, Any] = {"servo_id": servo.servo_id, "direction": joint.direction * servo.linkage.sense}
+    turned |= {"zero_tick": servo.linkage.second(joint.zero_tick), "pair": None}
+    second = _joint(JointConfig.model_construct(**dict(joint) | turned), spec, rng, rng.spawn(1)[0])
+    for register, limit_tick in zip((ax12a.CW_LIMIT, ax12a.CCW_LIMIT), servo.limits_tick, strict=True):
+        second.servo.set(register, limit_tick)
+    measured = joint.pair is not None and joint.pair.table is not None
+    return second, (spec.zero_offset_tick if measured else spec.pair_offset_tick) * float(rng.uniform(-1.0, 1.0))
 
 
 def _joint(config: JointConfig, spec: ArmSpec, rng: np.random.Generator, servo_rng: np.random.Generator) -> Joint:

@@ -151,7 +151,7 @@ class Controls:
         return asdict(self._arm.hand.guide(*line, seed=seed, duration_s=duration_s))
 
     def _hold(self, params: Params) -> Params:
-        wanted, free, n = params.get("joints_rad"), params.get("free"), len(self._arm.servos)
+        wanted, free, n = params.get("joints_rad"), params.get("free"), len(self._arm.config.joints)
         if not isinstance(wanted, list) or len(wanted) != n:
             raise ValueError(f"joints_rad {wanted!r}: {n} numbers, rad")
         if free is not None and free not in range(n):

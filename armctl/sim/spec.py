@@ -54,6 +54,9 @@ class ArmSpec:
     zero_offset_tick: float = 0.5
     # If given, that error is drawn evenly from within this, both ways, instead.
     zero_offset_within_tick: float | None = None
+    # The second servo of a joint is off what the arm's file says by up to this, both ways; what a measured table says,
+    # by `zero_offset_tick`.
+    pair_offset_tick: float = 4.0
     # Standard deviation of the error of each link length.
     length_error_m: float = 0.0
     # Standard deviation of a reported position; each sensor is better or worse by up to this share.

@@ -85,7 +85,7 @@ class VirtualArm:
         if state.following is not None:
             return state.following.wanted_rad
         goal = state.goal
-        return tuple(joint.position_rad(tick) for joint, tick in zip(self.arm.joints, goal, strict=True))
+        return tuple(joint.position_rad(tick) for joint, tick in zip(self.arm.joints, goal, strict=False))
 
     def next_id(self) -> int:
         """A number that no request has had yet."""

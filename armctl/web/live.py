@@ -104,8 +104,8 @@ class Encoder:
         """The tick a snapshot is of, as far as it tells."""
         joints = tuple(_joint(joint) for joint in snapshot["joints"])
         readings = tuple(
-            ServoReading(servo_id, b"", 0, state.age_s < STALE_S, problem=_problem(state))
-            for servo_id, state in zip(self._arm.servo_ids, joints, strict=True)
+            ServoReading(servo.servo_id, b"", 0, joints[servo.of].age_s < STALE_S, problem=_problem(joints[servo.of]))
+            for servo in self._arm.servos
         )
         outputs = Outputs(
             mode=Mode(snapshot["state"]),

@@ -47,10 +47,11 @@ class IdealArm:
     def __post_init__(self) -> None:
         self.robot = robots.get(self.arm.robot)
         self.blocks = [servo_table(servo_id)[ax12a.STATUS_BEGIN :] for servo_id in self.arm.servo_ids]
-        self.stamps = [0] * len(self.arm.joints)
-        for index, joint in enumerate(self.arm.joints):
+        self.stamps = [0] * len(self.blocks)
+        for index, servo in enumerate(self.arm.servos):
+            tick = servo.joint.tick(servo.joint.rest_rad)
             for register in (ax12a.PRESENT_POSITION, ax12a.GOAL):
-                self.put(index, register, round(joint.tick(joint.rest_rad)))
+                self.put(index, register, round(tick if servo.linkage is None else servo.linkage.second(tick)))
         self.seen = [bytes(block) for block in self.blocks]
 
     def put(self, index: int, register: ax12a.Register, value: int) -> None:
@@ -64,13 +65,13 @@ class IdealArm:
         """One tick: read, step, write."""
         self.now_ns += round(self.period_s * 1e9)
         readings = []
-        for index, joint in enumerate(self.arm.joints):
+        for index, servo in enumerate(self.arm.servos):
             fresh = self.port_open and index not in self.silent | self.noisy
             if fresh:
                 self.stamps[index], self.seen[index] = self.now_ns, bytes(self.blocks[index])
             readings.append(
                 messages.ServoReading(
-                    joint.servo_id,
+                    servo.servo_id,
                     self.seen[index] if self.stamps[index] else b"",
                     self.stamps[index],
                     fresh,
@@ -162,16 +163,16 @@ def line(
     return JointTrajectory(PERIOD_S, points, begin_s, end_s, label="line")
 
 
-def energising() -> IdealArm:
+def energising(arm: IdealArm | None = None) -> IdealArm:
     """Torque was asked for, and the goals were sent in the tick just over."""
-    arm = IdealArm().connect()
+    arm = (arm or IdealArm()).connect()
     arm.run_tick()
     arm.run_ticks(2, TorqueOn(1))
     return arm
 
 
-def holding() -> IdealArm:
-    arm = energising()
+def holding(arm: IdealArm | None = None) -> IdealArm:
+    arm = energising(arm)
     arm.run_ticks(12)
     assert (arm.mode(), arm.replies[1].ok) == (Mode.HOLDING, True)
     return arm

@@ -9,9 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from armctl.control.motion import BLEND_S, RATE_RAD_S
+from armctl.control.motion import BLEND_S, LEAD_TICKS, RATE_RAD_S
 from armctl.control.settle import MOST_RAD, REST_S, TRIM_RAD
-from armctl.control.tick import LEAD_TICKS
 from armctl.dynamixel.ax12a import TICK_RAD
 from armctl.messages import Hold, LagModel, Mode, Pause, Resume, Run, UseModel
 from armctl.sim.spec import RANDOM_SPEC

@@ -10,6 +10,7 @@ from armctl.control import faults
 from armctl.dynamixel import ax12a
 from armctl.messages import Clear, Connected, Fault, JointState, Mode, Problem
 from tests.control.ideal_arm import IdealArm, holding, running
+from tests.paired import paired_arm
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 # Calls that name a fault, and which of their arguments does.
@@ -60,13 +61,14 @@ SPOILT: dict[faults.Cause, Callable[[IdealArm], object]] = {
     faults.Cause.HEAT: lambda arm: arm.put(2, ax12a.PRESENT_TEMPERATURE, 70),
     faults.Cause.SUPPLY: lambda arm: arm.put(2, ax12a.PRESENT_VOLTAGE, 80),
     faults.Cause.TORQUE: lambda arm: arm.put(2, ax12a.TORQUE_LIMIT, 0),
+    faults.Cause.PAIR: lambda arm: arm.put(6, ax12a.PRESENT_POSITION, 1023 - arm.get(1, ax12a.PRESENT_POSITION) + 13),
     faults.Cause.GOAL: lambda arm: setattr(arm, "after_write", lambda arm: arm.put(2, ax12a.GOAL, 40)),
 }
 
 
 @pytest.mark.parametrize("cause", sorted({kind.until for kind in faults.FAULTS}))
 def test_whatever_a_row_waits_for_keeps_a_fault_from_being_cleared_while_it_lasts(cause: faults.Cause) -> None:
-    arm = holding()
+    arm = holding(IdealArm(paired_arm()) if cause is faults.Cause.PAIR else None)
     arm.run_tick(Connected((Problem("BLOCKED", "found just now"),)))
     arm.run_tick(Connected())
     if cause is not faults.Cause.NONE:

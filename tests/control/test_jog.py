@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armctl.control.jog import SPEED_RAD_S, joint_velocities
-from armctl.control.tick import LEAD_TICKS
+from armctl.control.motion import LEAD_TICKS
 from armctl.dynamixel import ax12a
 from armctl.kinematics.chain import jacobian, tool_position
 from armctl.messages import Clear, Hold, HostLost, Jog, Mode, Park, Release, Run

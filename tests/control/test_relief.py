@@ -9,7 +9,7 @@ import pytest
 from armctl.config import ArmConfig
 from armctl.control.machine import State
 from armctl.control.relief import PUSH_RATIO, explained_ratio
-from armctl.control.step import _joint_states
+from armctl.control.step import _servo_states
 from armctl.control.tick import Tick, wire_joints
 from armctl.dynamixel import ax12a
 from armctl.files import load_arm
@@ -205,8 +205,8 @@ def explained(arm: ArmConfig, robot: Robot, q: FloatArray) -> list[tuple[float, 
         readings.append(ServoReading(joint.servo_id, bytes(block), 1, True))
     inputs = Inputs(0, 1, Sample(1, tuple(readings)))
     servos, wire = tuple(ax12a.decode(reading.registers) for reading in readings), wire_joints(arm)
-    joints = _joint_states(inputs, servos, wire)
-    return explained_ratio(Tick(State(), inputs, arm, wire, robot, 0.1, joints, servos, True))
+    each = _servo_states(inputs, servos, wire)
+    return explained_ratio(Tick(State(), inputs, arm, wire, robot, 0.1, each, each, servos, True))
 
 
 @pytest.mark.parametrize("lasts_s", [0.05, 3.0])

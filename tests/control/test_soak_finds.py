@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import pytest
 
-from armctl.control.tick import LEAD_TICKS
+from armctl.control.motion import LEAD_TICKS
 from armctl.dynamixel import ax12a
 from armctl.messages import Clear, Command, Connected, Mode, Release, Run, Teach
 from tests.control.ideal_arm import IdealArm, energising, holding, line

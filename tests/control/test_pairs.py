@@ -1,0 +1,221 @@
+"""Two servos on one joint, in the control step: one joint out of two, two goals out of one, and where they disagree."""
+
+import math
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from armctl.clock import NS_PER_S, VirtualClock
+from armctl.control.pairs import AGAINST_RATIO, APART_TICKS
+from armctl.dynamixel import ax12a
+from armctl.json_text import from_json, to_json
+from armctl.messages import Clear, Mode, Park, Release, Run, TickRecord, TorqueOn
+from armctl.recording.replay import check
+from armctl.recording.writer import LogContext
+from armctl.sim.arm import SimulatedArm
+from armctl.sim.spec import DEFAULT_SPEC
+from armctl.sim.virtual_arm import VirtualArm
+from tests.control.damaged_arm import Rig
+from tests.paired import paired_arm
+from tests.recording.factory import CONTEXT, nod
+from tests.recording.logs import write
+
+ARM = paired_arm()
+# Places of the shoulder's servos, and of the elbow's.
+SHOULDER, ELBOW = ARM.pairs
+ALIKE = replace(DEFAULT_SPEC, pair_offset_tick=0.0)
+
+
+def against(rig: Rig) -> float:
+    """With how much each servo of the shoulder pushes against the other, as the servos have it."""
+    first, second = (rig.simulated.servos[i].output for i in SHOULDER)
+    return abs(first + second) / 2.0  # the second one faces the first
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_both_servos_of_a_joint_get_one_goal_in_one_packet_and_share_the_load(seed: int) -> None:
+    rig = Rig(seed=seed, arm=ARM).holding().at()
+    joints = rig.records[-1].outputs.joints
+    for record in rig.records:
+        assert len(record.outputs.joints) == len(ARM.joints)
+        if record.outputs.goal is not None and record.outputs.mode is Mode.MOVING:
+            for first, second in (SHOULDER, ELBOW):
+                assert sum(record.outputs.goal.ticks[i] for i in (first, second)) == 1023
+    for first, second in (SHOULDER, ELBOW):
+        has = [servo.position_rad(rig.simulated.servos[i].position_tick) for i, servo in enumerate(ARM.servos)]
+        assert joints[first].position_rad == pytest.approx((has[first] + has[second]) / 2.0, abs=0.01)
+    assert rig.replies()[901].ok
+    assert against(rig) < AGAINST_RATIO
+    true_deg = [math.degrees(q) for q in rig.simulated.true_positions()]
+    assert true_deg[1] == pytest.approx(20.0, abs=2.0)
+
+
+def test_torque_comes_on_where_each_servo_is_and_none_pulls_at_the_other() -> None:
+    rig = Rig(arm=ARM).holding()
+    for i, servo in enumerate(rig.simulated.servos):
+        assert abs(rig.loop.state.goal[i] - servo.position_tick) <= 2
+        assert servo.get(ax12a.TORQUE_LIMIT) == 1023
+        assert servo.get(ax12a.CW_SLOPE) == 32
+    assert against(rig) < 0.05
+    rig.ticks(30, Release(5))
+    assert rig.stiff() == []
+
+
+@pytest.mark.parametrize("powered", [False, True])
+def test_servos_that_read_apart_are_a_fault_that_lasts_until_they_do_not(powered: bool) -> None:
+    rig = Rig(arm=ARM, spec=ALIKE)
+    if powered:
+        rig.holding().at()
+    fault = rig.fault("pair_mismatch", 12, value=15.0)
+    rig.ticks(24)
+    assert rig.code() == "PAIR_MISMATCH"
+    said = r"servo 2 \(shoulder\): reads 1[3-7] ticks off servo 12 of the same joint \(bound 12\) for 2 s"
+    assert re.fullmatch(said, rig.loop.state.faults[0].text)
+    rig.ticks(20, Clear(7))
+    assert rig.replies()[7].code == "NOT_CLEARED"
+    assert re.search(r"the servos of shoulder read 1[3-7] ticks apart \(bound 12\)", rig.replies()[7].message)
+    assert rig.mode() is Mode.FAULTED
+    if powered:
+        assert against(rig) < AGAINST_RATIO / 2.0, "it is relieved"
+        assert len(rig.stiff()) == len(ARM.servos)
+    rig.simulated.faults.end(fault)
+    rig.ticks(10)
+    rig.ticks(10, Clear(8))
+    assert rig.replies()[8].ok, rig.replies()[8].message
+
+
+def test_servos_that_push_against_each_other_at_rest_are_relieved_and_a_fault() -> None:
+    """Twice as stiff, they push with over a fifth of their output by ten ticks, which is nothing to be seen of."""
+    arm = paired_arm(compliance={"margin": 1, "slope": 16, "punch": 32})
+    rig = Rig(arm=arm, spec=ALIKE).holding().at()
+    rig.fault("pair_mismatch", 12, value=10.0)
+    rig.ticks(5)
+    assert against(rig) > AGAINST_RATIO
+    rig.ticks(25)
+    assert rig.code() == "PAIR_MISMATCH"
+    assert "push against each other with" in rig.loop.state.faults[0].text
+    assert against(rig) < AGAINST_RATIO / 2.0
+    rig.ticks(3, Clear(7))
+    assert rig.replies()[7].ok
+
+
+def test_a_motion_slows_down_where_a_horn_slips() -> None:
+    rig = Rig(arm=ARM, spec=ALIKE).holding().at()
+    rig.fault("pair_mismatch", 13, value=20.0)
+    rig.ticks(60, Run(5, rig.turned(40.0)))
+    assert rig.replies()[5].code == "PAIR_MISMATCH"
+    assert rig.loop.state.faults[0].servo_id == 3
+
+
+def test_some_ticks_are_no_mismatch() -> None:
+    rig = Rig(arm=ARM, spec=ALIKE).holding().at()
+    rig.fault("pair_mismatch", 12, value=APART_TICKS - 3.0)
+    rig.ticks(100, Run(5, rig.turned(20.0)))
+    assert rig.replies()[5].ok
+    assert not rig.loop.state.faults
+    assert against(rig) < AGAINST_RATIO
+
+
+@pytest.mark.parametrize(
+    ("kind", "code"), [("brown_out", "LOST_TORQUE"), ("trip", "TRIPPED"), ("mute", "SERVO_SILENT"), ("hot", "HOT")]
+)
+@pytest.mark.parametrize("servo_id", [2, 12])
+def test_one_servo_of_a_pair_that_fails_is_named_and_the_others_hold(kind: str, code: str, servo_id: int) -> None:
+    rig = Rig(arm=ARM).holding().at()
+    rig.fault(kind, servo_id, **({"value": 68.0} if kind == "hot" else {}))
+    rig.ticks(26)
+    assert [(fault.code, fault.servo_id) for fault in rig.loop.state.faults if fault.code == code] == [(code, servo_id)]
+    limp = {servo_id} if code in ("LOST_TORQUE", "TRIPPED") else set()
+    assert set(rig.stiff()) == set(ARM.servo_ids) - limp
+    assert not any(record.outputs.goal for record in rig.records[-5:])
+
+
+def test_a_blocked_pair_is_relieved_as_one_joint() -> None:
+    rig = Rig(arm=ARM).holding().at()
+    rig.fault("blocked_joint", 12)
+    rig.ticks(60, Run(5, rig.way((0.0, 70.0, -10.0, -10.0, 0.0, 0.0), 2.0)))
+    assert rig.replies()[5].code == "BLOCKED"
+    rig.ticks(20)
+    assert all(abs(rig.simulated.servos[i].output) < 0.5 for i in SHOULDER)
+
+
+def test_a_measured_table_is_what_goals_and_position_go_by() -> None:
+    arm = paired_arm({"table": [[170, 866], [400, 634], [760, 270]]})
+    rig = Rig(arm=arm, spec=ALIKE).holding().at()
+    goal = rig.loop.state.goal
+    first, second = SHOULDER
+    link = arm.servos[second].linkage
+    assert link is not None
+    assert goal[second] == round(link.second(goal[first]))
+    assert goal[second] - (1023 - goal[first]) > 8
+    assert against(rig) < 0.1
+
+
+def test_a_pair_parks_and_goes_limp() -> None:
+    rig = Rig(arm=ARM).holding().at()
+    rig.ticks(150, Park(5))
+    assert rig.replies()[5].ok
+    assert rig.stiff() == []
+
+
+def test_an_arm_of_single_servos_is_not_told_of_pairs() -> None:
+    rig = Rig().holding()
+    assert "pair_since_ns" not in to_json(rig.loop.state)
+    paired = Rig(arm=ARM).holding()
+    paired.fault("pair_mismatch", 12, value=30.0)
+    paired.ticks(3)
+    text = to_json(paired.loop.state)
+    assert '"pair_since_ns":[' in text
+    assert from_json(type(paired.loop.state), text) == paired.loop.state
+
+
+# ---------------------------------------------------------------------------------------------------- in the log
+
+
+def recorded(ticks: int = 90) -> list[TickRecord]:
+    virtual = VirtualArm(SimulatedArm(ARM, seed=1), 0.1, clock=VirtualClock(5 * NS_PER_S))
+    virtual.start()
+    records = []
+    for tick in range(ticks):
+        commands = {3: (TorqueOn(1),), 20: (Run(2, nod(virtual.goals_rad)),)}.get(tick, ()) if tick in (3, 20) else ()
+        if tick == 60:
+            virtual.simulated.servos[SHOULDER[1]].protect(overloaded=True)
+        record = virtual.tick(*commands)
+        records.append(replace(record, keyframe=to_json(virtual.loop.state)))
+    return records
+
+
+RECORDS = recorded()
+LOGGED = LogContext(ARM, CONTEXT.robot, CONTEXT.config, CONTEXT.port, CONTEXT.period_s)
+
+
+def test_a_log_of_pairs_is_replayed_bit_for_bit(tmp_path: Path) -> None:
+    result = check(write(tmp_path / "a.mcap", RECORDS, context=LOGGED))
+    assert (result.ticks, result.mismatches, result.skipped) == (len(RECORDS), 0, 0), result.first_mismatch
+    assert RECORDS[-1].outputs.faults[0].code == "TRIPPED"
+
+
+@pytest.mark.parametrize("index", range(len(ARM.servos)))
+def test_another_goal_or_reading_of_any_servo_differs_in_a_replay(index: int, tmp_path: Path) -> None:
+    moving = next(record for record in RECORDS if record.inputs.tick > 25 and record.outputs.goal is not None)
+    goal = moving.outputs.goal
+    assert goal is not None
+    keyframe = RECORDS[moving.inputs.tick - 1].keyframe
+    for name in ("ticks", "speeds"):
+        values = list(getattr(goal, name))
+        values[index] += 1
+        outputs = replace(moving.outputs, goal=replace(goal, **{name: tuple(values)}))
+        changed = replace(moving, outputs=outputs)
+        result = check(write(tmp_path / f"{name}.mcap", [changed], keyframe=keyframe, context=LOGGED))
+        assert result.mismatches == 1
+        assert result.first is not None
+        assert result.first["field"].startswith("/joint_commands")
+    sample = moving.inputs.sample
+    block = bytearray(sample.servos[index].registers)
+    block[ax12a.POSITION_AT] ^= 1
+    servos = list(sample.servos)
+    servos[index] = replace(servos[index], registers=bytes(block))
+    read = replace(moving, inputs=replace(moving.inputs, sample=replace(sample, servos=tuple(servos))))
+    assert check(write(tmp_path / "read.mcap", [read], keyframe=keyframe, context=LOGGED)).mismatches > 0
