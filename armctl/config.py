@@ -27,7 +27,7 @@ from armctl.gripper import GripperConfig as GripperConfig
 from armctl.gripper import OwnGripper as OwnGripper
 from armctl.links import ChainRow as ChainRow
 from armctl.links import ChainTable as ChainTable
-from armctl.pair import Linkage
+from armctl.pair import APART_TICKS, Linkage
 from armctl.pair import PairConfig as PairConfig
 from armctl.strict_yaml import NAME_PATTERN as NAME_PATTERN
 from armctl.strict_yaml import Degrees as Degrees
@@ -171,11 +171,16 @@ class Servo(NamedTuple):
 
     @property
     def limits_tick(self) -> tuple[int, int]:
-        """Lowest and highest whole goal tick inside the joint's limits."""
+        """Lowest and highest whole goal tick inside the joint's limits; for a second servo wider by what it may be off."""
         if self.linkage is None:
             return self.joint.limits_tick
         low, high = sorted([round(self.linkage.second(tick)) for tick in self.joint.limits_tick])
-        return max(0, low), min(ax12a.TICK_MAX, high)
+        return max(0, low - APART_TICKS), min(ax12a.TICK_MAX, high + APART_TICKS)
+
+    @property
+    def measured(self) -> bool:
+        """Whether it is a second servo of which a table was measured."""
+        return self.joint.pair is not None and self.joint.pair.table is not None
 
 
 class ArmConfig(Frozen):

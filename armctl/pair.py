@@ -17,6 +17,9 @@ from armctl.strict_yaml import Frozen
 # than its inverse.
 LEAST_SHARE = 0.7
 
+# Farther apart two servos of one joint do not agree.
+APART_TICKS = 12
+
 Points = tuple[tuple[float, float], ...]
 Row = Annotated[tuple[float, float], Field(strict=False)]
 

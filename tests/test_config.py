@@ -135,7 +135,7 @@ def test_a_second_servo_faces_the_first_one_unless_its_file_says_otherwise() -> 
     assert [servo.name for servo in arm.servos] == ["waist", "shoulder", "shoulder"]
     first, second = arm.servos[1:]
     assert first.limits_tick == (296, 704)
-    assert second.limits_tick == (1023 - 704, 1023 - 296)
+    assert second.limits_tick == (1023 - 704 - 12, 1023 - 296 + 12)
     assert second.linkage is not None
     assert second.linkage.second(500.0) == 523.0
     same = paired(servo_id=3, direction=1, zero_tick=490.5).servos[2].linkage
@@ -169,4 +169,4 @@ def test_a_gripper_of_its_own_may_have_two_servos() -> None:
     joints = [{"name": "waist", "servo_id": 1, "limits_deg": [-90, 90]}]
     arm = validate(ArmConfig, {"arm_id": "two", "robot": "planar", "joints": joints, "gripper": gripper}, "FILE")
     assert arm.servo_ids == (1, 7, 8)
-    assert arm.servos[2].limits_tick == (503, 623)
+    assert arm.servos[2].limits_tick == (491, 635)

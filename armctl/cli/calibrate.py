@@ -65,7 +65,7 @@ def calibrate_command(
         raise RequestRefused("FILE_EXISTS", f"{out}: exists and is not overwritten; choose another --out")
     fit: Fit | None = None
     if zero_at is not None:
-        with opened(output, before.servo_ids) as bus:
+        with opened(output, [joint.servo_id for joint in before.joints]) as bus:
             AtTerminal(output, *ASKED).ask("", f"hold the limp arm still in its {zero_at} pose")
             ticks = calibration.read_ticks(bus, before.joints, bus.port.clock)
         pose = [joint.rest_rad if zero_at == "rest" else 0.0 for joint in before.joints]
@@ -76,7 +76,7 @@ def calibrate_command(
             session = calibration.load_readings(readings, before)
         else:
             assert points is not None
-            with opened(output, before.servo_ids) as bus:
+            with opened(output, [joint.servo_id for joint in before.joints]) as bus:
                 session = _touch_all(output, bus, before, calibration.read_points(points), touches)
         if save_readings is not None:
             write_new(save_readings, calibration.readings_text(session))

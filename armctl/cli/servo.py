@@ -98,7 +98,7 @@ def mend_command(output: Output, servo: str) -> None:
     if strangers := [servo_id for servo_id in servo_ids if servo_id not in arm.servo_ids]:
         raise click.BadParameter(f"servo {strangers[0]} is not of the arm {arm.arm_id}", param_hint="ID")
     with opened(output) as bus:
-        changed = mend(bus, [joint for joint in arm.joints if joint.servo_id in servo_ids])
+        changed = mend(bus, [one for one in arm.servos if one.servo_id in servo_ids])
     shown = partial(show_differences, output, changed, "now", "was")
     output.answer({"mended": [asdict(it) for it in changed]}, shown if changed else "nothing to mend")
 

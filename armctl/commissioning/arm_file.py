@@ -159,6 +159,6 @@ def _told(path: Path, source: str) -> dict[str, Any]:
         **where,
         "title": remark.partition(". ")[0].partition(": ")[0].rstrip(".") or arm.arm_id,
         "joints": joints,
-        "servos": len(arm.joints),
+        "servos": len(arm.servos),
         "gripper": arm.gripper.joint if arm.gripper else None,
     }

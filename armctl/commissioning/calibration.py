@@ -339,6 +339,9 @@ def recalibrated(arm: ArmConfig, zero_ticks: Sequence[float], lengths_m: dict[st
         low, high = sorted(math.degrees(moved.position_rad(tick)) for tick in joint.limits_tick)
         low, high = math.ceil(low * 100.0) / 100.0, math.floor(high * 100.0) / 100.0
         rest = round(math.degrees(moved.position_rad(joint.tick(joint.rest_rad))), 2)
+        if joint.pair is not None and joint.pair.zero_tick is not None:  # what it reads beside the first one stays
+            assert joint.linkage is not None
+            item["pair"]["zero_tick"] = round(joint.linkage.second(zero_tick), 2)
         item |= {"zero_tick": zero_tick, "limits_deg": [low, high], "rest_deg": min(max(rest, low), high)}
     return validate(ArmConfig, data, "the new calibration")
 

@@ -18,7 +18,7 @@ from statistics import median
 
 from armctl import __version__
 from armctl.commissioning.scan import ALL_IDS, USUAL_BAUDS, FoundServo, Progress, scan
-from armctl.config import ArmConfig, JointConfig
+from armctl.config import ArmConfig, Servo
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.ax12a import ErrorBit, Register
 from armctl.dynamixel.bus import ServoBus
@@ -135,13 +135,13 @@ def check_servos(
         others = [other for other in USUAL_BAUDS if other != baud]
         elsewhere = {servo.servo_id: servo for servo in scan(bus, others, missing)}
         bus.port.setBaudRate(baud)
-    checks = [_baud_check(baud, len(found), len(arm.joints), elsewhere, surroundings.options)]
+    checks = [_baud_check(baud, len(found), len(arm.servos), elsewhere, surroundings.options)]
     checks += _presence(arm, baud, list(found), elsewhere, surroundings.options)
     if not found:
         return checks
     bus.port.allow_latency(IDENTIFY_LATENCY_MS)
     round_trips_ns: list[float] = []
-    for joint in arm.joints:
+    for joint in arm.servos:
         if joint.servo_id in found:
             whom = str(joint.servo_id) if missing else "all"
             slow = f"armctl servo set-return-delay {whom} 0{surroundings.options}"
@@ -196,7 +196,7 @@ def _presence(
     stand_ins = dict(zip(mute, strays, strict=False))
     renamings = {stray: f"armctl servo set-id {stray} {new}{options}" for new, stray in stand_ins.items()}
     checks = []
-    for joint in arm.joints:
+    for joint in arm.servos:
         servo_id, value, fix = joint.servo_id, "answers", ""
         if servo_id in elsewhere:
             value = f"{joint.name} answers at {elsewhere[servo_id].baud} baud"
@@ -215,7 +215,7 @@ def _presence(
 
 
 def _servo_checks(
-    bus: ServoBus, joint: JointConfig, servo: FoundServo, options: str, delay_fix: str, round_trips_ns: list[float]
+    bus: ServoBus, joint: Servo, servo: FoundServo, options: str, delay_fix: str, round_trips_ns: list[float]
 ) -> list[Check]:
     """Registers of one servo that answers; adds what the adapter costs its replies to `round_trips_ns`."""
     servo_id = joint.servo_id

@@ -3,12 +3,14 @@
 Rules.
 1. All that plans and follows a motion knows joints; all that talks to the bus knows servos. Here two readings become
    one joint, before anything else looks at it, and `Tick.send_goal` makes two goals of one.
-2. The joint is midway between where its servos have it, and each bears half: an error of their table is shared. While
-   one is not heard, it is where the other one has it. It is as old, as hot and as low on voltage as the worse one.
+2. A joint with a measured table is midway between where its servos have it; without one it is where the first servo
+   has it, whose zero is the joint's. While one is not heard, it is where the other one has it. Each bears half of the
+   load. The joint is as old, as hot and as low on voltage as the worse one.
 3. Torque comes on with each servo's goal at its own place, and a relief puts each there: then none pulls at the other.
 4. Two that read farther apart than `APART_TICKS`, limp or not, or that push against each other with more than
    `AGAINST_RATIO` of their output while the joint stands, for `PAIR_S`, are a fault, PAIR_MISMATCH: a horn has slipped,
-   or their table is wrong. Each tick that shows them so at rest relieves them.
+   or their table is wrong. Each tick that shows them so at rest relieves them. Not of a gripper, where each servo has a
+   finger of its own.
 """
 
 from collections.abc import Iterator, Sequence
@@ -19,9 +21,9 @@ from armctl.control.relief import FRICTION_RATIO, stands
 from armctl.control.tick import Tick
 from armctl.dynamixel.ax12a import TICK_RAD
 from armctl.messages import NS_PER_S, JointState, ServoReading
+from armctl.pair import APART_TICKS
 
-# With usual stiffness two servos push against each other with a fifth of their output by then.
-APART_TICKS = 12.0
+# What two servos of usual stiffness push against each other with where they are `APART_TICKS` apart.
 AGAINST_RATIO = 0.2
 PAIR_S = 2.0
 
@@ -34,8 +36,9 @@ def folded(each: Sequence[JointState], readings: Sequence[ServoReading], arm: Ar
         if not (a.known and b.known):
             joints[first] = b if a.known else a
             continue
-        heard = [servo for servo, i in ((a, first), (b, second)) if readings[i].fresh]
-        one, other = (heard[0], heard[0]) if len(heard) == 1 else (a, b)
+        measured = arm.servos[second].measured and readings[first].fresh == readings[second].fresh
+        one = b if readings[second].fresh and not readings[first].fresh else a
+        other = b if measured else one
         joints[first] = JointState(
             True,
             (one.position_rad + other.position_rad) / 2.0,
@@ -49,9 +52,18 @@ def folded(each: Sequence[JointState], readings: Sequence[ServoReading], arm: Ar
     return tuple(joints)
 
 
+def _rigid(s: Tick) -> list[tuple[int, int]]:
+    """Pairs that turn one shaft."""
+    return [
+        (first, second)
+        for first, second in s.arm.pairs
+        if s.arm.gripper is None or s.wire[first].name != s.arm.gripper.joint
+    ]
+
+
 def detect_mismatch(s: Tick) -> None:
     """Latch the pairs whose servos do not agree, and have none of them pull at the other."""
-    pairs, now_ns, found = s.arm.pairs, s.inputs.now_ns, []
+    pairs, now_ns, found = _rigid(s), s.inputs.now_ns, []
     before = s.state.pair_since_ns or (0,) * len(pairs)
     for since_ns, (first, second) in zip(before, pairs, strict=True):
         if not (s.heard(first) and s.heard(second)):
@@ -88,6 +100,6 @@ def _against(s: Tick, first: int, second: int) -> float:
 
 def mismatches(s: Tick) -> Iterator[str]:
     """Joints whose servos read apart just now, and by how much."""
-    for first, second in s.arm.pairs:
+    for first, second in _rigid(s):
         if (apart := apart_ticks(s, first, second)) > APART_TICKS:
             yield f"the servos of {s.wire[first].name} read {apart:.0f} ticks apart (bound {APART_TICKS:g})"

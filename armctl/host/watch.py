@@ -28,7 +28,7 @@ class Watch:
     """What is seen of the arm while it moves."""
 
     time_ns: list[int] = field(default_factory=list)
-    # When each servo was read.
+    # When each joint's servo was read.
     stamps_ns: list[tuple[int, ...]] = field(default_factory=list)
     positions_rad: list[tuple[float, ...]] = field(default_factory=list)
     # Fraction of the trajectory at which the arm was to be then.
@@ -36,7 +36,7 @@ class Watch:
     # The same at the next tick, as far as it is known.
     ahead: float = 0.0
     marks_ns: dict[str, int] = field(default_factory=dict)
-    # When each tick's goal left, the goal, and where the joints are wanted a tick later [rad]; empty: there was none.
+    # When each tick's goal left, the joints' goals, and where they are to be a tick later [rad]; empty: there was none.
     now_ns: list[int] = field(default_factory=list)
     goals: list[tuple[int, ...]] = field(default_factory=list)
     wanted_rad: list[tuple[float, ...]] = field(default_factory=list)
@@ -48,7 +48,8 @@ class Watch:
 
     def see(self, record: TickRecord) -> None:
         self.time_ns.append(record.inputs.sample.time_ns)
-        self.stamps_ns.append(tuple(servo.stamp_ns for servo in record.inputs.sample.servos))
+        joints = len(record.outputs.joints)  # behind their first servos come the second ones of pairs
+        self.stamps_ns.append(tuple(servo.stamp_ns for servo in record.inputs.sample.servos[:joints]))
         self.positions_rad.append(tuple(joint.position_rad for joint in record.outputs.joints))
         self.progress.append(self.ahead)
         self.ahead = self.ahead if record.outputs.progress is None else record.outputs.progress
@@ -56,7 +57,7 @@ class Watch:
         self.load_ratio.append(tuple(joint.load_ratio for joint in record.outputs.joints))
         self.now_ns.append(record.inputs.now_ns)
         goal = record.outputs.goal
-        self.goals.append(goal.ticks if goal is not None else self.goals[-1] if self.goals else ())
+        self.goals.append(goal.ticks[:joints] if goal is not None else self.goals[-1] if self.goals else ())
         self.wanted_rad.append(record.outputs.wanted_rad)
         for event in record.outputs.events:
             self.corrections += event.code == "CORRECTED"

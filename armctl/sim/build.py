@@ -91,8 +91,7 @@ def _second(servo: Servo, spec: ArmSpec, seed: int) -> tuple[Joint, float]:
     second = _joint(JointConfig.model_construct(**dict(joint) | turned), spec, rng, rng.spawn(1)[0])
     for register, limit_tick in zip((ax12a.CW_LIMIT, ax12a.CCW_LIMIT), servo.limits_tick, strict=True):
         second.servo.set(register, limit_tick)
-    measured = joint.pair is not None and joint.pair.table is not None
-    return second, (spec.zero_offset_tick if measured else spec.pair_offset_tick) * float(rng.uniform(-1.0, 1.0))
+    return second, (spec.zero_offset_tick if servo.measured else spec.pair_offset_tick) * float(rng.uniform(-1.0, 1.0))
 
 
 def _joint(config: JointConfig, spec: ArmSpec, rng: np.random.Generator, servo_rng: np.random.Generator) -> Joint:

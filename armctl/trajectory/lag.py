@@ -112,17 +112,19 @@ def nominal(arm: ArmConfig, chain: SerialChain) -> LagModel:
     """
     n = chain.n
     # Servos sit on the axes, those beyond the chain halfway along its last link.
-    further_kg = SERVO_KG * (len(arm.joints) - n)
-    carried = [SERVO_KG * (n - 1 - i) + further_kg + TOOL_KG for i in range(n)]
+    servos = [1 if joint.pair is None else 2 for joint in arm.joints]
+    further_kg = SERVO_KG * sum(servos[n:])
+    carried = [SERVO_KG * sum(servos[i + 1 : n]) + further_kg + TOOL_KG for i in range(n)]
     carried[-1] -= further_kg / 2.0
     rows = []
     for i, joint in enumerate(arm.joints[:n]):
         punch = joint.compliance.punch / LOAD_MAX
         stall_Nm, free_rad_s = MODELS[joint.model].stall_torque_Nm, MODELS[joint.model].no_load_speed_rad_s
+        stall_Nm *= servos[i]
         softness = compliance_slope(joint.compliance.slope) * TICK_RAD / ((1.0 - punch) * stall_Nm)
         # A servo carries what is further out than its own joint.
         gravity = [GRAVITY_M_S2 * softness * kg if k >= i else 0.0 for k, kg in enumerate(carried)]
-        rows.append((*gravity, FRICTION_NM * softness, stall_Nm / free_rad_s * softness, 0.0))
+        rows.append((*gravity, servos[i] * FRICTION_NM * softness, stall_Nm / free_rad_s * softness, 0.0))
     return LagModel(arm.arm_id, arm.calibration_hash, tuple(rows))
 
 

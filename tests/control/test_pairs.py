@@ -8,10 +8,11 @@ from pathlib import Path
 import pytest
 
 from armctl.clock import NS_PER_S, VirtualClock
-from armctl.control.pairs import AGAINST_RATIO, APART_TICKS
+from armctl.control.pairs import AGAINST_RATIO
 from armctl.dynamixel import ax12a
 from armctl.json_text import from_json, to_json
 from armctl.messages import Clear, Mode, Park, Release, Run, TickRecord, TorqueOn
+from armctl.pair import APART_TICKS
 from armctl.recording.replay import check
 from armctl.recording.writer import LogContext
 from armctl.sim.arm import SimulatedArm
@@ -44,8 +45,11 @@ def test_both_servos_of_a_joint_get_one_goal_in_one_packet_and_share_the_load(se
             for first, second in (SHOULDER, ELBOW):
                 assert sum(record.outputs.goal.ticks[i] for i in (first, second)) == 1023
     for first, second in (SHOULDER, ELBOW):
-        has = [servo.position_rad(rig.simulated.servos[i].position_tick) for i, servo in enumerate(ARM.servos)]
-        assert joints[first].position_rad == pytest.approx((has[first] + has[second]) / 2.0, abs=0.01)
+        has = ARM.servos[first].position_rad(rig.simulated.servos[first].position_tick)
+        assert joints[first].position_rad == pytest.approx(has, abs=0.01)
+        loads = [rig.records[-1].inputs.sample.servos[i].registers for i in (first, second)]
+        told = [ax12a.decode(block).load_ratio for block in loads]  # type: ignore[union-attr]
+        assert joints[first].load_ratio == pytest.approx((told[0] - told[1]) / 2.0)
     assert rig.replies()[901].ok
     assert against(rig) < AGAINST_RATIO
     true_deg = [math.degrees(q) for q in rig.simulated.true_positions()]
@@ -150,6 +154,8 @@ def test_a_measured_table_is_what_goals_and_position_go_by() -> None:
     assert link is not None
     assert goal[second] == round(link.second(goal[first]))
     assert goal[second] - (1023 - goal[first]) > 8
+    has = [arm.servos[i].position_rad(rig.simulated.servos[i].position_tick) for i in SHOULDER]
+    assert rig.records[-1].outputs.joints[first].position_rad == pytest.approx(sum(has) / 2.0, abs=0.01)
     assert against(rig) < 0.1
 
 

@@ -25,7 +25,7 @@ from armctl.trajectory.target import MoveRequest
 from tests.host.simulated import SimulatedBench, on_arm
 from tests.host.test_following import by_hand, due_m, followed
 
-ARMS = ("crane-plus-v2", "phantomx-pincher", "xiang-6dof")
+ARMS = ("crane-plus-v2", "crustcrawler", "phantomx-pincher", "phantomx-reactor", "xiang-6dof")
 # Arms whose zero offsets, which no encoder shows, are neither the largest nor the smallest.
 SEED = 1
 FEW_TICKS_DEG = 4.0

@@ -13,7 +13,8 @@ from itertools import combinations_with_replacement
 import numpy as np
 
 from armctl.config import ArmConfig
-from armctl.sim.faults import DESCRIPTIONS, KINDS, Fault
+from armctl.sim.faults import DESCRIPTIONS, Fault
+from armctl.sim.faults import KINDS as ALL_KINDS
 
 SHORTEST_S, LONGEST_S = 120.0, 240.0
 # What a user wants of an arm; `mixed` is a run with pauses, other rates and stops in between, `lean` one against
@@ -23,6 +24,8 @@ WISHES = ("run", "run", "run", "mixed", "mixed", "jog", "jog", "park", "teach", 
 DAMAGES = ("flipped", "short", "cut", "dropped")
 # What beside the simulator's faults may meet one of them.
 OTHERS = ("requests", "late tick", "kill")
+# What strikes a pair of servos on one joint has its turn on arms that have one.
+KINDS = tuple(kind for kind in ALL_KINDS if kind != "pair_mismatch")
 HAPPENINGS = (*KINDS, *OTHERS)
 # The whole bus is struck once at a time.
 ALONE = frozenset({"dead_bus", "echo", "unplug", "latency", *OTHERS})
