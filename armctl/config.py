@@ -171,7 +171,7 @@ class Servo(NamedTuple):
 
     @property
     def limits_tick(self) -> tuple[int, int]:
-        """Lowest and highest whole goal tick inside the joint's limits; for a second servo wider by what it may be off."""
+        """Lowest and highest whole goal tick inside the joint's limits; a second servo has room to be off."""
         if self.linkage is None:
             return self.joint.limits_tick
         low, high = sorted([round(self.linkage.second(tick)) for tick in self.joint.limits_tick])

@@ -88,6 +88,11 @@ def setup_command(output: Output, arm_file: str | None, answers: Path | None) ->
     person = OverPipe(output) if over_pipe else AtTerminal(output, "armctl setup", "or give --answers FILE", answers)
     kind = arm_file or person.ask("kind", "which arm is yours like?", [arm["name"] for arm in arms_at_hand()])
     arm, path = load_arm(kind), active_path(kind)
+    if arm.pairs:
+        text = "two servos on one joint turn together, which no question here tells apart"
+        raise ConfigError(
+            kind, "pair", text, "copy its file, give its servos their ids, then `armctl calibrate --pairs`"
+        )
     name = arm.arm_id
     if path.resolve() != find_arm_file(kind).resolve():  # it comes with armctl; yours gets a name of its own
         name = person.ask("name", "what shall yours be called? A word, such as my-arm")

@@ -90,11 +90,12 @@ def test_arms_lists_what_a_name_finds(answer: Answer, tmp_path: Path, monkeypatc
     found = {row["name"]: row for row in answer("arms")["arms"]}
     pincher = found["phantomx-pincher"]
     assert (pincher["joints"], pincher["servos"], pincher["gripper"], pincher["source"]) == (4, 5, "gripper", "shipped")
+    assert (found["phantomx-reactor"]["joints"], found["phantomx-reactor"]["servos"]) == (4, 8)
     assert found["mine"]["title"].startswith("cannot be read: joints")
     assert found["mine"]["source"] == str(own)
 
 
-@pytest.mark.parametrize("arm", ["ax12-line", "crane-plus-v2", "phantomx-pincher"])
+@pytest.mark.parametrize("arm", ["ax12-line", "crane-plus-v2", "crustcrawler", "phantomx-pincher", "phantomx-reactor"])
 def test_a_shipped_arm_is_judged_good_and_drawn(arm: str, answer: Answer) -> None:
     found = answer("arm", "check", arm)
     assert (found["ok"], found["problems"]) == (True, [])

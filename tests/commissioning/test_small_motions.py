@@ -75,7 +75,9 @@ def test_a_port_that_vanishes_in_a_wiggle_is_told(bench: Bench) -> None:
         wiggle(bench.bus, WALL)
 
 
-@pytest.mark.parametrize("name", ["ax12-line", "phantomx-pincher", "crane-plus-v2", "lanzhou-4dof", "xiang-6dof"])
+@pytest.mark.parametrize(
+    "name", ["ax12-line", "phantomx-pincher", "phantomx-reactor", "crane-plus-v2", "lanzhou-4dof", "xiang-6dof"]
+)
 def test_the_words_for_a_joint_say_what_the_tool_does_where_it_turns(name: str) -> None:
     arm = load_arm(name)
     chain = robots.of(arm).chain

@@ -13,7 +13,9 @@ from armctl.kinematics.solution import solve, within_limits
 from armctl.kinematics.target import direction_target
 from armctl.kinematics.transform import FloatArray
 
-ARMS = ("ax12-line", "crane-plus-v2", "lanzhou-4dof", "phantomx-pincher", "transfer-6dof", "xiang-6dof")
+ARMS = (
+    "ax12-line", "crane-plus-v2", "lanzhou-4dof", "phantomx-pincher", "phantomx-reactor", "transfer-6dof", "xiang-6dof",
+)  # fmt: skip
 
 
 def robot_of(name: str) -> Robot:

@@ -72,7 +72,9 @@ def turned(direction: FloatArray, angle_rad: float) -> FloatArray:
     return np.asarray(np.eye(3) + math.sin(angle_rad) * K + (1.0 - math.cos(angle_rad)) * K @ K)
 
 
-@pytest.mark.parametrize("name", ["ax12-line", "crane-plus-v2", "lanzhou-4dof", "phantomx-pincher", "xiang-6dof"])
+@pytest.mark.parametrize(
+    "name", ["ax12-line", "crane-plus-v2", "crustcrawler", "lanzhou-4dof", "phantomx-pincher", "xiang-6dof"]
+)
 def test_a_page_can_place_the_arm_from_the_axes_it_is_given(tmp_path: Path, name: str) -> None:
     told = get(served(tmp_path, name), "/api/arm").json()
     arm, axes = load_arm(name), told["axes"]

@@ -35,7 +35,15 @@ from proving.drawn_arms import DrawnArm, along_x, along_z, drawn, turned
 from proving.figures import check, row
 from proving.truth import FloatArray
 
-CLOSED = ("puma560", "transfer-6dof", "lanzhou-4dof", "xiang-6dof", "crane-plus-v2", "phantomx-pincher")
+CLOSED = (
+    "puma560",
+    "transfer-6dof",
+    "lanzhou-4dof",
+    "xiang-6dof",
+    "crane-plus-v2",
+    "phantomx-pincher",
+    "phantomx-reactor",
+)
 FAMILIES = ("ax12-line",)
 # Numbers of drawn arms without a closed form: three joints, an offset wrist, seven joints.
 DRAWN = (0, 1, 2)
