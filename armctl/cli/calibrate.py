@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict
 from datetime import date
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,7 +35,7 @@ def calibrate_command(
     touches: int,
     readings: Path | None,
     save_readings: Path | None,
-    sag: bool,
+    way: str | None,
     zero_at: str | None,
     out: Path | None,
 ) -> None:
@@ -49,14 +50,16 @@ def calibrate_command(
     --sag does something else: a running daemon moves the arm along eight lines. What gravity and friction do to each
     joint is kept beside the calibration, as NAME.sag.json, for `armctl experiment`.
 
+    --pairs is for joints that two servos turn: both are read while you lead the limp joint through its range.
+
     Example: armctl calibrate --points sheet.csv
     """
-    from armctl.commissioning import arm_file, calibration
+    from armctl.commissioning import arm_file, calibration, pairs
     from armctl.commissioning.eeprom import write_new
 
-    if sum(choice is not None for choice in (points, readings, zero_at, sag or None)) != 1:
-        raise click.UsageError("give one of --points FILE, --readings FILE, --zero-at rest|zero and --sag")
-    if sag:
+    if sum(choice is not None for choice in (points, readings, zero_at, way)) != 1:
+        raise click.UsageError("give one of --points FILE, --readings FILE, --zero-at rest|zero, --sag and --pairs")
+    if way == "sag":
         _calibrate_sag(output)
         return
     before = output.arm
@@ -64,7 +67,10 @@ def calibrate_command(
     if out is not None and out.exists():
         raise RequestRefused("FILE_EXISTS", f"{out}: exists and is not overwritten; choose another --out")
     fit: Fit | None = None
-    if zero_at is not None:
+    if way is not None:
+        after = pairs.measured(before, partial(opened, output), AtTerminal(output, *ASKED))
+        remark = "what the two servos of a joint read at the same places"
+    elif zero_at is not None:
         with opened(output, [joint.servo_id for joint in before.joints]) as bus:
             AtTerminal(output, *ASKED).ask("", f"hold the limp arm still in its {zero_at} pose")
             ticks = calibration.read_ticks(bus, before.joints, bus.port.clock)
@@ -142,17 +148,19 @@ def _calibrate_sag(output: Output) -> None:
         output.say("An encoder's own noise is about 0.6 tick.")
 
 
-def _changes(before: ArmConfig, after: ArmConfig) -> list[dict[str, Any]]:
+def _changes(old_arm: ArmConfig, new_arm: ArmConfig) -> list[dict[str, Any]]:
     """Every value that differs between two calibrations of one arm."""
     from armctl.kinematics import robots
 
-    old, new = (robots.get(arm.robot, arm.lengths_m).lengths_m for arm in (before, after))
-    rows = [(f"lengths_m.{key}", old[key], new[key]) for key in old]
-    for was, now in zip(before.joints, after.joints, strict=True):
+    old, new = (robots.get(arm.robot, arm.lengths_m).lengths_m for arm in (old_arm, new_arm))
+    rows: list[tuple[str, Any, Any]] = [(f"lengths_m.{key}", old[key], new[key]) for key in old]
+    for was, now in zip(old_arm.joints, new_arm.joints, strict=True):
         rows += [
             (f"{was.name}.{key}", getattr(was, key), getattr(now, key))
             for key in ("zero_tick", "limits_deg", "rest_deg")
         ]
+        before, after = (joint.pair and joint.pair.model_dump(mode="json") for joint in (was, now))
+        rows.append((f"{was.name}.pair", before, after))
     return [{"key": key, "before": was, "after": now} for key, was, now in rows if was != now]
 
 

@@ -176,22 +176,28 @@ def read_ticks(bus: ServoBus, joints: Sequence[ServoJoint], clock: Clock) -> tup
     for row in ticks:
         clock.sleep_until_ns(due_ns)
         due_ns += READING_PERIOD_NS
-        sample = bus.read_sample()
-        if not sample.port_open:
-            raise PortGone(f"{bus.port.port_name}: the port vanished; plug the adapter in again")
-        for i, (joint, reading) in enumerate(zip(joints, sample.servos, strict=True)):
-            servo = f"servo {joint.servo_id} ({joint.name})"
-            if not reading.fresh:
-                raise RequestRefused("SERVO_SILENT", f"{servo}: {reading.problem}; `armctl doctor` tells more")
-            if ax12a.register_value(ax12a.TORQUE_ENABLE, reading.registers):
-                text = "torque is on; support the arm and let it go limp: `armctl release`"
-                raise RequestRefused("TORQUE_ON", f"{servo}: {text}")
-            row[i] = ax12a.register_value(ax12a.PRESENT_POSITION, reading.registers)
+        row[:] = limp_ticks(bus, joints)
     spread = np.ptp(ticks, axis=0)
     if spread.max() > MAX_SPREAD_TICK:
         moved = joints[int(spread.argmax())].name
         raise RequestRefused("MOVED", f"{moved} moved by {spread.max():.0f} ticks; hold the tool still on the point")
     return tuple(ticks.mean(axis=0).round(3).tolist())
+
+
+def limp_ticks(bus: ServoBus, joints: Sequence[ServoJoint]) -> tuple[int, ...]:
+    """Present position of every servo of a limp arm; raises as `read_ticks`, but for one that moves."""
+    sample, ticks = bus.read_sample(), list[int]()
+    if not sample.port_open:
+        raise PortGone(f"{bus.port.port_name}: the port vanished; plug the adapter in again")
+    for joint, reading in zip(joints, sample.servos, strict=True):
+        servo = f"servo {joint.servo_id} ({joint.name})"
+        if not reading.fresh:
+            raise RequestRefused("SERVO_SILENT", f"{servo}: {reading.problem}; `armctl doctor` tells more")
+        if ax12a.register_value(ax12a.TORQUE_ENABLE, reading.registers):
+            text = "torque is on; support the arm and let it go limp: `armctl release`"
+            raise RequestRefused("TORQUE_ON", f"{servo}: {text}")
+        ticks.append(ax12a.register_value(ax12a.PRESENT_POSITION, reading.registers))
+    return tuple(ticks)
 
 
 # ------------------------------------------------------------------------------------------------------------ fit

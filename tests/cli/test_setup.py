@@ -14,13 +14,14 @@ import numpy as np
 import pytest
 
 from armctl.cli import setup
-from armctl.commissioning.calibration import Readings, Touch, readings_text
+from armctl.commissioning.calibration import Readings, Touch, calibration_text, readings_text
 from armctl.config import ArmConfig
 from armctl.dynamixel import ax12a
 from armctl.files import find_arm_file, load_arm
 from armctl.lab.demo import program
 from tests.cli.conftest import Answer, Typed, refusals
 from tests.commissioning.bench import EXACT, Bench, PosingHand, planted, postures, touch_points
+from tests.paired import paired_arm
 from tests.words import missing
 
 pytestmark = pytest.mark.usefixtures("own_folders")
@@ -264,6 +265,39 @@ def test_zeros_alone_are_read_in_the_rest_pose(monkeypatch: pytest.MonkeyPatch, 
     said = typed("calibrate", "--arm", arm_file, "--port", "x", "--zero-at", "rest", "--out", out)
     assert zeros(load_arm(str(out))) == pytest.approx(zeros(true), abs=1.0)
     assert "base.zero_tick" in said.out
+
+
+def test_pairs_are_measured_into_the_arms_own_file(
+    monkeypatch: pytest.MonkeyPatch, arm_file: Path, typed: Typed, answer: Answer
+) -> None:
+    arm_file.write_text(calibration_text(paired_arm(), []), encoding="utf-8")
+    bench = plugged(Bench(spec=EXACT, simulated=paired_arm()), monkeypatch)
+    hand = bench.arm.hand = PosingHand(bench.arm)
+    ends = iter(("shoulder", "elbow"))
+
+    def leading() -> str:
+        index = bench.config.joint_names.index(next(ends))
+        posture = bench.arm.true_positions()
+        posture[index] = sum(bench.config.joints[index].limits_rad) / 2.0
+        hand.carry(posture)
+        return "\n"
+
+    monkeypatch.setattr(sys, "stdin", person(leading))
+    said = typed("calibrate", "--arm", arm_file, "--port", "x", "--pairs")
+    assert not missing(said.out, "lead the limp shoulder", "lead the limp elbow", "shoulder.pair", "written")
+    pairs = [joint.pair for joint in load_arm(str(arm_file)).joints]
+    assert [pair is not None and pair.table is not None for pair in pairs] == [False, True, True, False, False, False]
+    assert answer("arm", "check", arm_file)["ok"]
+    refused = typed("calibrate", "--arm", "ax12-line", "--port", "x", "--pairs", status=2)
+    assert "no joint of this arm has two servos" in refused.err
+    assert "give one of" in typed("calibrate", "--arm", arm_file, "--pairs", "--zero-at", "rest", status=2).err
+
+
+def test_an_arm_with_pairs_is_not_set_up_by_questions(arm_file: Path, typed: Typed) -> None:
+    answers = arm_file.with_name("answers.yaml")
+    answers.write_text("{}\n", encoding="utf-8")
+    said = typed("setup", "phantomx-reactor", "--port", "x", "--answers", answers, status=2)
+    assert "two servos on one joint turn together" in said.err
 
 
 # ---------------------------------------------------------------------------------------------- install and report
