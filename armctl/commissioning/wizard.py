@@ -168,7 +168,7 @@ class Wizard:
             trouble = f"no servo turned by 30 deg; turn it from end to end, and if that was done, {BLIND}"
         elif more and ways[more[0]] > ways[first] / 2.0:
             both = f"{said} and servo {self.found.servos[more[0]].servo_id}"
-            trouble = f"{both} turned together; turn it alone (two servos on one joint are nothing armctl can drive)"
+            trouble = f"{both} turned together; turn it alone (two servos on one joint: `armctl help new-arm`)"
         elif servo.servo_id in others:
             trouble = f"{said} turned, that of {others[servo.servo_id]}; turn it, or remove {progress_path(self.path)}"
         elif min(a, b) < 1.0 or max(a, b) > ax12a.TICK_MAX - 1.0:

@@ -18,10 +18,9 @@ from armctl.config import Config
 from armctl.messages import TickRecord
 from armctl.recording.writer import LogContext
 from armctl.sim.bus import SimulatedBus
-from armctl.sim.faults import KINDS
 from proving.episode import Episode, Stage, stage
 from proving.requests import PERIOD_S
-from proving.story import Story, Strike, draw
+from proving.story import KINDS, Story, Strike, draw
 from tests.guard.kept import save
 
 FILE = "episodes.json"

@@ -53,7 +53,7 @@ PROOFS: dict[str, Work] = {
 }
 # What a proof takes beside the seed.
 OPTIONS = {
-    "soak": {"hours", "workers", "episode"},
+    "soak": {"hours", "workers", "episode", "arm"},
     "mutants": {"workers"},
     "hang": {"runs", "hours"},
     "client": {"runs"},
@@ -96,6 +96,7 @@ def _named(_context: click.Context, _option: click.Parameter, value: str | None)
     "--runs", type=click.IntRange(0), help="hang: of each process; client: ends; programs.  [default: 200; 100]"
 )
 @click.option("--episode", type=click.IntRange(0), help="soak: this one alone.")
+@click.option("--arm", help="soak: on this arm, by name.  [default: those shipped first, in turn]")
 @click.option(
     "--workers",
     type=click.IntRange(1),
@@ -105,7 +106,7 @@ def _named(_context: click.Context, _option: click.Parameter, value: str | None)
 @click.option("--targets", type=click.IntRange(1), help="place: how many of each arm.  [default: 20]")
 @click.option("--classes", callback=_named, help="lines: which classes, with commas between them.  [default: all]")
 @as_json
-def prove(name: str, seed: int, as_json: bool, **options: float | int | tuple[str, ...] | None) -> None:
+def prove(name: str, seed: int, as_json: bool, **options: float | int | str | tuple[str, ...] | None) -> None:
     """Run a proof; exit status 1 if anything was violated."""
     given = {option: value for option, value in options.items() if value is not None}
     if unknown := given.keys() - OPTIONS.get(name, set()):

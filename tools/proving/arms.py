@@ -52,14 +52,31 @@ def varied(text: str, rng: np.random.Generator) -> str:
                   "limits_deg": [low, high]}  # fmt: skip
         if rng.random() < 0.2:
             joint["speed_limit_deg_s"] = round(float(rng.uniform(35.0, 90.0)), 1)
-    if "gripper" in arm:
+    _vary_pairs(arm, rng)
+    if "joint" in arm.get("gripper", {}):
         low, high = next(j["limits_deg"] for j in arm["joints"] if j["name"] == arm["gripper"]["joint"])
         arm["gripper"] |= {"open_deg": max(0.0, low), "closed_deg": min(90.0, high)}
     return yaml.safe_dump(arm, sort_keys=False)
 
 
-def drawn(seed: int, episode: int) -> str:
-    """The file of the arm on which an episode is played; every shipped one comes in its turn."""
+def _vary_pairs(arm: dict[str, Any], rng: np.random.Generator) -> None:
+    """Other ids for second servos, and for a gripper's own; some pairs are measured, and off what is on paper."""
+    own = [arm["gripper"]] if "servo_id" in arm.get("gripper", {}) else []
+    rows = [*arm["joints"], *own]
+    paired, taken = [row for row in rows if "pair" in row], {joint["servo_id"] for joint in arm["joints"]}
+    free = [int(servo_id) for servo_id in range(1, 30) if servo_id not in taken] if paired or own else []
+    for one in (*own, *(row["pair"] for row in paired)):
+        one["servo_id"] = free.pop(int(rng.integers(len(free))))
+    for joint in paired:
+        if "limits_deg" in joint and rng.random() < 0.5:
+            ends = [joint["zero_tick"] + joint["direction"] * limit / TICK_DEG for limit in joint["limits_deg"]]
+            off = float(rng.uniform(-15.0, 15.0))
+            off = min(max(off, max(ends) - TICK_MAX), min(ends))  # both read 0 to 1023
+            joint["pair"]["table"] = [[round(tick, 1), round(TICK_MAX - tick + off, 1)] for tick in sorted(ends)]
+
+
+def drawn(seed: int, episode: int, arm: str = "") -> str:
+    """The file of the arm on which an episode is played; every shipped one comes in its turn, or one by its name."""
     rng = np.random.default_rng((seed, episode, 11))
-    text = arm_text(SHIPPED[episode % len(SHIPPED)])
+    text = arm_text(arm or SHIPPED[episode % len(SHIPPED)])
     return text if rng.integers(AS_SHIPPED) == 0 else varied(text, rng)

@@ -284,11 +284,11 @@ class Clerk(Person):
         if any(servo.temperature_degC >= self._arm.temperature_limit_degC - 1.0 for servo in body.servos):
             self._episode.fault(Fault(kind="hot", value=35.0, begin_s=self._now_s, duration_s=0.01))
             yield from self._wait(0.3)
-        for servo, joint in zip(body.servos, self._arm.joints, strict=True):
+        for index, (servo, one) in enumerate(zip(body.servos, self._arm.servos, strict=True)):
             if servo.drive.spin is not None:
-                servo.set(ax12a.CW_LIMIT, joint.limits_tick[0])
-                servo.set(ax12a.CCW_LIMIT, joint.limits_tick[1])
-                self._episode.judge.mended(self._arm.joints.index(joint))
+                servo.set(ax12a.CW_LIMIT, one.limits_tick[0])
+                servo.set(ax12a.CCW_LIMIT, one.limits_tick[1])
+                self._episode.judge.mended(index)
         on = self._stiff()
         if code in ("LOST_TORQUE", "TRIPPED", "NOT_LIMP") or (any(on) and not all(on)) or self._weak():
             yield (Release(self._id()),)

@@ -45,7 +45,7 @@ HOT_ABOVE_DEGC = 2.0
 LOW_BELOW_V = 0.5
 
 # Faults by which a servo's shaft leaves its goal, or its goal the program's.
-MOVES_JOINT = frozenset({"stuck_joint", "blocked_joint", "frozen_sensor", "second_writer"})
+MOVES_JOINT = frozenset({"stuck_joint", "blocked_joint", "frozen_sensor", "second_writer", "pair_mismatch"})
 # Faults that take torque from some and thereby load from others.
 MOVES_ARM = frozenset({"brown_out", "trip"})
 # What spoils so many replies that nobody can tell servos from each other.
@@ -76,7 +76,7 @@ class Duties:
     def __init__(self, arm: Arm, period_s: float) -> None:
         self._arm, self._servo_ids, self._period_s = arm, arm.servo_ids, period_s
         # When each servo was last heard.
-        self.heard_s = [-math.inf] * len(arm.joints)
+        self.heard_s = [-math.inf] * len(arm.servos)
         self._duties: list[Duty] = []
         # Begin and end of every fault not begun yet.
         self._planned: list[tuple[float, float, Fault]] = []
@@ -84,7 +84,7 @@ class Duties:
         self._expected: list[Expected] = []
         self._codes: Set[str] = frozenset()
         # Until when damaged packets may have told a servo what nobody sent.
-        self._forged_until_s = [-math.inf] * len(arm.joints)
+        self._forged_until_s = [-math.inf] * len(arm.servos)
         # Begin and end of damage to packets of the host.
         self._garbled: list[tuple[float, float]] = []
         # Those that are over since a short while.
@@ -185,7 +185,7 @@ class Duties:
         return any(
             fault.kind in kinds
             and begin_s <= now_s < end_s + within_s
-            and (i is None or fault.servo_id in (None, self._servo_ids[i]))
+            and (i is None or self._arm.one_joint(i, fault.servo_id))
             for begin_s, end_s, fault in (*self._faults, *self._planned, *self._over)
         )
 
@@ -271,7 +271,7 @@ class Duties:
             begin_s <= now_s < end_s + RECOVERING_S
             and (
                 fault.kind in MOVES_ARM
-                or (fault.kind in MOVES_JOINT and (i is None or fault.servo_id in (None, self._servo_ids[i])))
+                or (fault.kind in MOVES_JOINT and (i is None or self._arm.one_joint(i, fault.servo_id)))
             )
             for begin_s, end_s, fault in (*self._faults, *self._planned)
         )

@@ -150,7 +150,7 @@ class Episode:
         self._through: dict[int, Run] = {}
         self._motions = MotionJudge(stage.judged, self.body.chain)
         self.meetings = Meetings(story)
-        self._promises = Promises([joint.name for joint in arm.joints], self.judge.found)
+        self._promises = Promises([servo.name for servo in arm.servos], self.judge.found)
         for line in story.lines:
             if isinstance(line, Tamper):
                 index = arm.servo_ids.index(line.servo_id)

@@ -90,15 +90,15 @@ class Judge(TorqueJudge):
 
     def __init__(self, arm: Arm, period_s: float, eeprom_limits: Sequence[tuple[int, int]]) -> None:
         super().__init__(arm, period_s)
-        n = len(arm.joints)
+        n = len(arm.servos)
         self._limits = [
             (max(low, joint.low), min(high, joint.high))
-            for joint, (low, high) in zip(arm.joints, eeprom_limits, strict=True)
+            for joint, (low, high) in zip(arm.servos, eeprom_limits, strict=True)
         ]
-        self._steps = [joint.speed_deg_s * period_s / TICK_DEG + self._bend_ticks for joint in arm.joints]
-        self._speeds = [joint.speed_units for joint in arm.joints]
+        self._steps = [joint.speed_deg_s * period_s / TICK_DEG + self._bend_ticks for joint in arm.servos]
+        self._speeds = [joint.speed_units for joint in arm.servos]
         self._rest_step = REST_SPEED_DEG_S * period_s / TICK_DEG + self._bend_ticks
-        self._sent_lately: list[deque[tuple[float, int]]] = [deque(maxlen=40) for _ in arm.joints]
+        self._sent_lately: list[deque[tuple[float, int]]] = [deque(maxlen=40) for _ in arm.servos]
         # When each servo was last heard.
         self._heard_s = self._duties.heard_s
         # When last no servo had been heard for some time.

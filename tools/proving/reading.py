@@ -5,8 +5,9 @@ the fault matrix, and a joint's limits of the YAML text that the package reads a
 """
 
 import math
-from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, Protocol
 
 import yaml
 
@@ -57,6 +58,9 @@ ADVANCING = frozenset({MOVING, JOGGING, PARKING})
 POWERED = ADVANCING | {HOLDING}
 LIMP = frozenset({OFF, TEACHING})
 
+# By how many ticks the second servo of a joint may be off what its file says, and the output with which two may push
+# against each other at rest.
+PAIR_ROOM, PAIR_PUSH = 12, 0.2
 # Faults that may send the arm to rest, and for how long their cause has to last before [s].
 RESTING = {"HOT": 2.0, "VOLTAGE": 0.5, "OVERLOAD": 2.0}
 # The way to rest is announced so long before it begins [s].
@@ -79,11 +83,30 @@ class Joint:
     # The torque limit with which the servo holds.
     full_limit: int
     limits_deg: tuple[float, float]
+    # Of a second servo: which joint it turns as well, and what both read at the same places; else -1 and nothing.
+    beside: int = -1
+    alike: tuple[tuple[float, float], ...] = ()
+    # Of its first servo.
+    first_direction: int = 1
+    first_zero_tick: float = 0.0
 
     @property
     def speed_units(self) -> int:
         """The moving speed that reaches the joint's own limit."""
         return max(1, min(1023, math.ceil(self.speed_deg_s / SPEED_UNIT_DEG_S - 1e-9)))
+
+    def position_deg(self, tick: float) -> float:
+        """Where its joint is when this servo reads `tick`."""
+        if self.beside < 0:
+            return self.direction * (tick - self.zero_tick) * TICK_DEG
+        rising = self.alike if self.alike[0][1] < self.alike[-1][1] else self.alike[::-1]
+        (b, a), (d, c) = _around([(second, first) for first, second in rising], tick)
+        return self.first_direction * (a + (tick - b) * ((c - a) / (d - b)) - self.first_zero_tick) * TICK_DEG
+
+    def beside_tick(self, first: float) -> float:
+        """What this second servo reads where the first one of its joint reads `first`."""
+        (a, b), (c, d) = _around(self.alike, first)
+        return b + (first - a) * ((d - b) / (c - a))
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,27 +123,74 @@ class Arm:
     rests: bool
     # Which joint grips; -1: none.
     gripper: int
+    # Those of the joints, and behind them the second ones of joints that two servos turn.
+    servos: tuple[Joint, ...]
 
     @property
     def servo_ids(self) -> tuple[int, ...]:
-        return tuple(joint.servo_id for joint in self.joints)
+        return tuple(servo.servo_id for servo in self.servos)
+
+    @property
+    def pairs(self) -> tuple[tuple[int, int], ...]:
+        """Places of the two servos on one shaft; those of a gripper have a finger each."""
+        return tuple((one.beside, k) for k, one in enumerate(self.servos) if one.beside not in (-1, self.gripper))
+
+    def one_joint(self, i: int, servo_id: int | None) -> bool:
+        """Whether a servo (by its id; None: every one) turns the same joint as that at a place, or is it."""
+        if servo_id is None:
+            return True
+        turned = [servo.beside if servo.beside >= 0 else k for k, servo in enumerate(self.servos)]
+        return servo_id in self.servo_ids and turned[self.servo_ids.index(servo_id)] == turned[i]
 
 
 def read(text: str) -> Arm:
     """An arm's file; what it leaves out is what `armctl help new-arm` says of a missing key."""
     told = yaml.safe_load(text)
     low_V, high_V = told.get("voltage_V", (9.0, 13.0))
-    names = [joint["name"] for joint in told["joints"]]
+    rows, grips = list(told["joints"]), told.get("gripper")
+    if grips and "servo_id" in grips:  # a servo that is none of the joints comes last
+        closed_deg = (grips["closed_tick"] - grips["open_tick"]) * TICK_DEG
+        own = {"name": "gripper", "zero_tick": grips["open_tick"], "limits_deg": sorted((0.0, closed_deg))}
+        rows.append(own | {key: grips[key] for key in ("name", "servo_id", "pair") if key in grips})
+        grips = {"joint": rows[-1]["name"]}
+    names, joints = [joint["name"] for joint in rows], tuple(map(_joint, rows))
     return Arm(
-        tuple(map(_joint, told["joints"])),
+        joints,
         told.get("temperature_limit_degC", 65.0),
         (low_V, high_V),
         told.get("floor_m", 0.0),
         told.get("tool_speed_limit_m_s", 0.25),
         told.get("link_radius_m", 0.025),
         told.get("rest_on_strain", True),
-        names.index(told["gripper"]["joint"]) if "gripper" in told else -1,
+        names.index(grips["joint"]) if grips else -1,
+        (*joints, *(_second(i, joints[i], row["pair"]) for i, row in enumerate(rows) if "pair" in row)),
     )
+
+
+def _second(i: int, first: Joint, told: dict[str, Any]) -> Joint:
+    """The second servo of a joint: mirrored, unless its file says otherwise, or was measured."""
+    turned = int(told.get("direction", -first.direction)) * first.direction
+    at = told.get("zero_tick", TICK_MAX - first.zero_tick if turned < 0 else first.zero_tick)
+    alike = told.get("table") or [(first.zero_tick, at)]
+    turned = turned if len(alike) == 1 else 1 if alike[-1][1] > alike[0][1] else -1
+    # Beyond what was measured both turn alike.
+    (a, b), (c, d) = alike[0], alike[-1]
+    alike = ((a - 4096.0, b - turned * 4096.0), *map(tuple, alike), (c + 4096.0, d + turned * 4096.0))
+    one = replace(
+        first, servo_id=int(told["servo_id"]), direction=turned * first.direction, beside=i, alike=tuple(alike),
+        first_direction=first.direction, first_zero_tick=first.zero_tick,
+    )  # fmt: skip
+    ends = sorted(round(one.beside_tick(tick)) for tick in (first.low, first.high))
+    # It may be off what its file says.
+    low, high = max(0, ends[0] - PAIR_ROOM), min(TICK_MAX, ends[1] + PAIR_ROOM)
+    zero, rest = one.beside_tick(first.zero_tick), one.beside_tick(first.rest_tick)
+    return replace(one, zero_tick=zero, low=low, high=high, rest_tick=rest)
+
+
+def _around(alike: Sequence[tuple[float, float]], first: float) -> Sequence[tuple[float, float]]:
+    """The two rows between which a place lies."""
+    at = next((k for k in range(1, len(alike)) if first < alike[k][0]), len(alike) - 1)
+    return alike[at - 1 : at + 1]
 
 
 def _joint(told: dict[str, object]) -> Joint:

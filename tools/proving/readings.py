@@ -13,7 +13,6 @@ from proving.reading import (
     PRESENT_VOLTAGE,
     SPEED_UNIT_DEG_S,
     STATUS_BEGIN,
-    TICK_DEG,
     TORQUE_ENABLE,
     Arm,
     At,
@@ -68,8 +67,9 @@ class Told(Protocol):
 def differences(
     arm: Arm, heard: Mapping[int, Heard], readings: Sequence[Reading], told: Sequence[Told]
 ) -> Iterator[tuple[int, str]]:
-    """Which joint's reading is not what its servo said in this tick, or is not told as it was read, and how."""
-    for i, (joint, reading, state) in enumerate(zip(arm.joints, readings, told, strict=True)):
+    """Which servo's reading is not what it said in this tick, or whose joint is not told as it was read, and how."""
+    said: dict[int, tuple[float, ...]] = {}
+    for i, (joint, reading) in enumerate(zip(arm.servos, readings, strict=True)):
         if not reading.fresh:
             continue
         if i not in heard:
@@ -82,18 +82,31 @@ def differences(
                 f"the servo said {data.hex()} (error {error}), read was {reading.registers.hex()} ({reading.error})",
             )
             continue
-        wanted = (
-            math.radians(joint.direction * (_value(data, PRESENT_POSITION) - joint.zero_tick) * TICK_DEG),
+        said[i] = (
+            math.radians(joint.position_deg(_value(data, PRESENT_POSITION))),
             joint.direction * math.radians(_signed(data, PRESENT_SPEED) * SPEED_UNIT_DEG_S),
             joint.direction * _signed(data, PRESENT_LOAD) / LOAD_FULL,
             _value(data, PRESENT_VOLTAGE) / 10.0,
             float(_value(data, PRESENT_TEMPERATURE)),
             float(_value(data, TORQUE_ENABLE)),
         )
+    for i, state in enumerate(told):
+        both = [k for k, servo in enumerate(arm.servos) if i in (k, servo.beside)]
+        if not all(k in said for k in both):
+            continue
+        wanted = (
+            said[i] if len(both) == 1 else _of_two(said[i], said[both[1]], measured=len(arm.servos[both[1]].alike) > 3)
+        )
         found = (state.position_rad, state.velocity_rad_s, state.load_ratio, state.voltage_V, state.temperature_degC,
                  float(state.torque_enabled))  # fmt: skip
         if not all(math.isclose(a, b, rel_tol=1e-6, abs_tol=1e-6) for a, b in zip(wanted, found, strict=True)):
             yield i, f"told is {found}, the servo said {wanted}"
+
+
+def _of_two(a: tuple[float, ...], b: tuple[float, ...], *, measured: bool) -> tuple[float, ...]:
+    """What is to be told of a joint with two servos: of one without a measured table the first one has the place."""
+    place, speed = [(x + y) / 2.0 if measured else x for x, y in zip(a[:2], b[:2], strict=True)]
+    return place, speed, (a[2] + b[2]) / 2.0, min(a[3], b[3]), max(a[4], b[4]), min(a[5], b[5])
 
 
 def _value(data: bytes, register: At) -> int:

@@ -39,7 +39,7 @@ class ShaftJudge:
         # Of rules that are not kept yet.
         self.red: list[Violation] = []
         self._arm = arm
-        self._names = [joint.name for joint in arm.joints]
+        self._names = [joint.name for joint in arm.servos]
         self._period_s = period_s
         # What a correction and rounding may add to a goal in a tick.
         self._bend_ticks = CORRECTION_DEG_S * period_s / TICK_DEG + 1.0
@@ -54,9 +54,9 @@ class ShaftJudge:
         # When and where [tick] each servo took torque, for the half second of watching.
         self._enabled: dict[int, tuple[float, float]] = {}
         # When the goal of each servo last changed.
-        self._goal_s = [-math.inf] * len(arm.joints)
+        self._goal_s = [-math.inf] * len(arm.servos)
         # Since when each servo is far from its goal.
-        self._far_s = [math.inf] * len(arm.joints)
+        self._far_s = [math.inf] * len(arm.servos)
         # When the program in charge died, and where the shafts were.
         self._dead: tuple[float, list[float]] | None = None
 
@@ -124,7 +124,7 @@ class ShaftJudge:
 
     def _is_weak(self, i: int, servo: Servo) -> bool:
         """Whether it was left with a part of its strength by a program that died."""
-        return servo.limit < self._arm.joints[i].full_limit
+        return servo.limit < self._arm.servos[i].full_limit
 
     def _watch_dead(
         self, now_s: float, servos: Sequence[Servo], before: Sequence[Servo], shafts_then: Sequence[float]

@@ -37,7 +37,7 @@ from proving.evidence import Outcome, Violation
 from proving.meetings import never_met, table
 from proving.requests import PERIOD_S
 from proving.scenes import SCENES_FROM, scene, scene_arm, seeded
-from proving.story import LONGEST_S, SHORTEST_S, Story, draw, shrink, thickened
+from proving.story import LONGEST_S, SHORTEST_S, Story, draw, paired, shrink, thickened
 
 SEED = 1
 # Of so many episodes one is played twice, and its log replayed; as is each worker's first, and every failure.
@@ -108,13 +108,18 @@ class Tally:
         self.grown_mib = max(self.grown_mib, other.grown_mib)
 
 
-def drawn_by(seed: int, episode: int) -> tuple[Stage, Story]:
-    """The arm and the story of an episode, or of a scene, the same for the same numbers."""
+def drawn_by(seed: int, episode: int, arm: str = "") -> tuple[Stage, Story]:
+    """The arm and the story of an episode, or of a scene, the same for the same numbers.
+
+    Args:
+        arm: By name; empty: every shipped one in its turn.
+    """
     if episode >= SCENES_FROM:
-        on = stage_of(scene_arm(drawn(seed, seeded(episode)), episode))
+        on = stage_of(scene_arm(drawn(seed, seeded(episode), arm), episode))
         return on, scene(seed, episode, on.arm)
-    on = stage_of(drawn(seed, episode))
-    return on, thickened(draw(seed, episode, on.arm), seed, episode, on.arm)
+    on = stage_of(drawn(seed, episode, arm))
+    story = thickened(draw(seed, episode, on.arm), seed, episode, on.arm)
+    return on, paired(story, seed, episode, on.arm)
 
 
 def play(story: Story, on: Stage, *, twice: bool = False) -> Outcome:
@@ -189,13 +194,13 @@ def _begin_worker() -> None:
     gc.set_threshold(GARBAGE)
 
 
-def _episodes(work: tuple[int, range]) -> Tally:
+def _episodes(work: tuple[int, str, range]) -> Tally:
     """Play some episodes in this process."""
-    seed, episodes = work
+    seed, arm, episodes = work
     tally = Tally()
     for episode in episodes:
         begin_s = time.process_time()
-        on, story = drawn_by(seed, episode)
+        on, story = drawn_by(seed, episode, arm)
         twice = episode % TWICE_EVERY == 0 or not (_tally.runs or tally.runs)
         outcome = play(story, on, twice=twice)
         tally.runs += 1
@@ -239,12 +244,14 @@ def prove(
     hours: float = 1.0,
     workers: int = 2,
     episode: int | None = None,
+    arm: str = "",
     budget_s: float = SHRINK_S,
     tell: Callable[[str], None] = lambda line: None,
 ) -> dict[str, Any]:
     """Play `hours` virtual hours, or one episode alone.
 
     Args:
+        arm: The one to play on, by name; empty: those in `SHIPPED`, in turn.
         budget_s: How long the first failure may be shrunk.
         tell: Takes lines for a person: progress, and the story of a failure.
     """
@@ -254,7 +261,7 @@ def prove(
         episodes = range(max(1, round(hours * 3600.0 / ((SHORTEST_S + LONGEST_S) / 2.0))))
     begin_s = time.monotonic()
     total, told_s = Tally(), begin_s
-    for tally in _played(seed, episodes, workers):
+    for tally in _played(seed, arm, episodes, workers):
         total.add(tally)
         for number, invariant, at_s, text in tally.failures:
             tell(f"episode {number}, {at_s:.2f} s, invariant {invariant}: {text}")
@@ -267,11 +274,12 @@ def prove(
                 f"{len(total.failures)} violations, about {left_s / 60.0:.0f} min left"
             )
     failed = sorted({failure[0] for failure in total.failures if failure[1] != "14"})
-    repeat = f"tools/prove soak --seed {seed} --episode {failed[0]}" if failed else ""
+    which = f" --arm {arm}" if arm else ""
+    repeat = f"tools/prove soak --seed {seed} --episode {failed[0]}{which}" if failed else ""
     if failed:
         before = logging.root.manager.disable
         logging.disable(logging.CRITICAL)
-        tell_story(seed, failed[0], budget_s, tell)
+        tell_story(seed, failed[0], budget_s, tell, arm)
         logging.disable(before)
         tell(f"repeat it: {repeat}")
     rows = {row: sum(total.rows[key] for key in keys) for row, keys in ROWS.items()}
@@ -304,8 +312,8 @@ def _by_rule(red: Counter[str]) -> list[tuple[str, set[int]]]:
     return sorted(found.items())
 
 
-def _played(seed: int, episodes: range, workers: int) -> Iterator[Tally]:
-    work = [(seed, episodes[at : at + CHUNK]) for at in range(0, len(episodes), CHUNK)]
+def _played(seed: int, arm: str, episodes: range, workers: int) -> Iterator[Tally]:
+    work = [(seed, arm, episodes[at : at + CHUNK]) for at in range(0, len(episodes), CHUNK)]
     if workers == 1 or len(work) == 1:
         before = logging.root.manager.disable
         _begin()
@@ -316,9 +324,9 @@ def _played(seed: int, episodes: range, workers: int) -> Iterator[Tally]:
         yield from pool.imap_unordered(_episodes, work)
 
 
-def tell_story(seed: int, episode: int, budget_s: float, tell: Callable[[str], None]) -> None:
+def tell_story(seed: int, episode: int, budget_s: float, tell: Callable[[str], None], arm: str = "") -> None:
     """Shrink a failing episode and tell it."""
-    on, story = drawn_by(seed, episode)
+    on, story = drawn_by(seed, episode, arm)
     first = play(story, on, twice=True)
     if not first.violations:
         tell(f"episode {episode} fails no more when played alone")

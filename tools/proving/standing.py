@@ -19,6 +19,7 @@ from collections.abc import Iterator, Mapping, Sequence, Set
 
 from proving.duties import OVER_S, RECOVERING_S, SILENT, STRAYS
 from proving.evidence import Servo, Strain
+from proving.pairs import PairWatch
 from proving.reading import ANNOUNCED_S, FULL_LIMIT, HOLDING, LIMP, OFF, POWERED, RESTING, STARTING, TICK_DEG, Arm
 from proving.shafts import STILL_TICKS, ShaftJudge
 
@@ -56,7 +57,7 @@ class StandingJudge(ShaftJudge):
 
     def __init__(self, arm: Arm, period_s: float) -> None:
         super().__init__(arm, period_s)
-        n = len(arm.joints)
+        n = len(arm.servos)
         # When a tick last came late.
         self._late_s = -math.inf
         # When each request was last asked; the one for a limp arm that was not refused, nor answered that it is.
@@ -106,6 +107,7 @@ class StandingJudge(ShaftJudge):
         self._stopped_s = math.inf
         # Goals of this tick that advance.
         self._advanced: list[tuple[int, str]] = []
+        self._pairs = PairWatch(arm)
 
     def replied(self, now_s: float, kind: str, ok: bool, servos: Sequence[Servo]) -> None:
         """The program answers a request."""
@@ -212,6 +214,9 @@ class StandingJudge(ShaftJudge):
         if code == "CONTACT" and now_s - self._pushed_s > JUST_NOW_S:
             # A program that is shown a wrong pose cannot tell what the arm has to bear there.
             return "" if duties.lately(now_s, {"frozen_sensor"}, JUST_NOW_S) else "no joint pushes"
+        blind = {"pair_mismatch", "stuck_joint", "frozen_sensor", "second_writer", "same_id"} | STRAYS
+        if code == "PAIR_MISMATCH" and now_s - self._pairs.off_s > JUST_NOW_S and not duties.lately(now_s, blind):
+            return "its servos agree"
         # A program that was late finds its port gone for good, however short that was.
         if code == "PORT_GONE" and not duties.lately(
             now_s, {"unplug"}, OVER_S if now_s - self._late_s < self._period_s else JUST_NOW_S
@@ -261,6 +266,7 @@ class StandingJudge(ShaftJudge):
         for i, (servo, strain) in enumerate(zip(servos, strains, strict=False)):
             self._watch_push(now_s, i, servo, strain)
             self._watch_load(now_s, i)
+        self._watch_pairs(now_s, servos, strains)
         for i, is_hot in enumerate(hot):
             self._hot_s[i] = now_s if is_hot else self._hot_s[i]
         self._strains = strains
@@ -277,6 +283,18 @@ class StandingJudge(ShaftJudge):
         elsewhere = self._codes & {"PORT_GONE", "BUS_DEAD", "SERVO_SILENT", "OVERRULED", "NOT_LIMP"}
         if "OTHER_WRITER" in self._codes and gone and not elsewhere:
             self._watch_held(now_s, servos)
+
+    def _watch_pairs(self, now_s: float, servos: Sequence[Servo], strains: Sequence[Strain]) -> None:
+        """Two servos on one joint; nobody tells of what is not heard, or by a program that is not there yet."""
+        duties, n = self._duties, len(self._arm.servos)
+        there = self._alive() and self._all_known and self._mode != STARTING and now_s - self._late_s > JUST_NOW_S
+        there &= now_s - self._unwell_s > JUST_NOW_S and not self._codes & (SILENT | {"PORT_GONE", "BUS_NOISE"})
+        blind = {"stuck_joint", "frozen_sensor", "blocked_joint", "second_writer", "same_id"} | STRAYS
+        well = [there and now_s - duties.hand_s > JUST_NOW_S and not duties.lately(now_s, blind, i=i) for i in range(n)]
+        if strains:
+            told = "PAIR_MISMATCH" in self._codes
+            for i, text in self._pairs.look(now_s, servos, self._before, strains, well, told=told):
+                self._violate("pair", now_s, i, text)
 
     def _watch_held(self, now_s: float, servos: Sequence[Servo]) -> None:
         """Another program has gone: whose goals are left."""

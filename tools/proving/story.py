@@ -220,6 +220,27 @@ def thickened(story: Story, seed: int, episode: int, arm: ArmConfig) -> Story:
     return replace(story, lines=tuple(sorted((*kept, *lines), key=lambda line: line.at_s)))
 
 
+def paired(story: Story, seed: int, episode: int, arm: ArmConfig) -> Story:
+    """A story in which a horn of a pair slips, by about what real pairs are off, and a servo of one dies."""
+    if not arm.pairs:
+        return story
+    rng = np.random.default_rng((seed, episode, 13))
+    lines: list[Line] = []
+    for at_s in np.sort(rng.uniform(8.0, story.duration_s - 15.0, 3)).tolist():
+        pair = arm.pairs[int(rng.integers(len(arm.pairs)))]
+        value = float(rng.choice((6, 15, 15, 25)) * rng.choice((-1, 1)))
+        slips = {"kind": "pair_mismatch", "servo_id": arm.servo_ids[pair[1]], "value": value}
+        dies = {
+            "kind": str(rng.choice(("trip", "brown_out", "mute"))),
+            "servo_id": arm.servo_ids[int(rng.choice(pair))],
+        }
+        for what, later_s in ((slips, 0.0), (dies, float(rng.uniform(0.0, 14.0)))):
+            lasts_s = float(rng.uniform(0.5, 9.0))
+            begins_s = round(at_s + later_s, 4)
+            lines.append(Strike(Fault(**what, begin_s=begins_s, duration_s=round(lasts_s, 3))))
+    return replace(story, lines=tuple(sorted((*story.lines, *lines), key=lambda line: line.at_s)))
+
+
 def _together(
     rng: np.random.Generator, arm: ArmConfig, pair: tuple[str, str], begin_s: float, duration_s: float
 ) -> list[Line]:

@@ -30,15 +30,15 @@ class TorqueJudge(StandingJudge):
 
     def __init__(self, arm: Arm, period_s: float) -> None:
         super().__init__(arm, period_s)
-        n = len(arm.joints)
-        self._rest = [joint.rest_tick for joint in arm.joints]
+        n = len(arm.servos)
+        self._rest = [joint.rest_tick for joint in arm.servos]
         # Goals of the program in charge, while their servos have torque; and those before them: what a servo holds
         # that missed one.
         self._sent: list[int | None] = [None] * n
         self._sent_before: list[int | None] = [None] * n
         # What each servo under torque held before another program wrote to it.
         self._held: list[int | None] = [None] * n
-        self._limits = [(joint.low, joint.high) for joint in arm.joints]
+        self._limits = [(joint.low, joint.high) for joint in arm.servos]
         # Where each servo said it was.
         self._told = [0] * n
         # Where each was before anything sent the arm to rest.

@@ -100,7 +100,7 @@ class Watch:
         self.unpluggable = False
         # When it surely will not be.
         self._plugged_ns = -1
-        self._body, self._judge = body, judge
+        self._body, self._judge, self._arm = body, judge, arm
         self._index = {servo_id: i for i, servo_id in enumerate(arm.servo_ids)}
         self._heads = {servo_id: bytes((0xFF, 0xFF, servo_id, STATUS_REPLY - 4)) for servo_id in arm.servo_ids}
         self._pending: int | None = None
@@ -213,15 +213,28 @@ class Watch:
         """What each motor works, and what its servo feels, now."""
         joints = self._body._joints
         carried = self._carried.loads([joint.position_rad() for joint in joints])
+        # Two on one shaft bear half each, if both can.
+        bears: list[tuple[float, float]] = [
+            (joint.gravity_Nm, joint.direction * Nm)
+            for joint, (Nm, _) in zip(joints, chain(carried, repeat((0.0, 0.0))), strict=False)
+        ]
+        for k, second in enumerate(self._arm.servos):
+            if second.beside >= 0:
+                first = second.beside
+                share = 0.5 if all(joints[i].drive.enabled and not joints[i].dead_motor for i in (first, k)) else 1.0
+                gravity_Nm, carrying_Nm = bears[first]
+                bears[first] = share * gravity_Nm, share * carrying_Nm
+                way = share * second.direction * self._arm.servos[first].direction
+                bears[k] = way * gravity_Nm, way * carrying_Nm
         return [
             Strain(
                 joint.servo.output,
-                -joint.gravity_Nm / (full_Nm := joint.stall_Nm * max(joint.servo.voltage_V, 1.0) / RATED_V),
+                -gravity_Nm / (full_Nm := joint.stall_Nm * max(joint.servo.voltage_V, 1.0) / RATED_V),
                 joint.servo.voltage_V,
                 joint.servo.temperature_degC,
-                -joint.direction * carrying_Nm / (WEAK * full_Nm),
+                -carrying_Nm / (WEAK * full_Nm),
             )
-            for joint, (carrying_Nm, _) in zip(joints, chain(carried, repeat((0.0, 0.0))), strict=False)
+            for joint, (gravity_Nm, carrying_Nm) in zip(joints, bears, strict=True)
         ]
 
 
