@@ -13,7 +13,7 @@ class Meetings:
     """Looks at every tick for what has just begun."""
 
     def __init__(self, story: Story) -> None:
-        self._coming = [(line.at_s, what) for line in story.lines if (what := _happening(line))]
+        self._coming = [(line.at_s, what) for line in story.lines if (what := _happening(line)) in HAPPENINGS]
         self._begun: list[tuple[float, str]] = []
         self.met: Counter[tuple[str, str]] = Counter()
 

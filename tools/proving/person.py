@@ -67,8 +67,9 @@ class Person:
     def _weak(self) -> bool:
         """Whether a servo has torque, but not what its calibration asks for."""
         return any(
-            servo.torque_enabled and servo.get(ax12a.TORQUE_LIMIT) < round(ax12a.LOAD_MAX * joint.torque_limit_ratio)
-            for servo, joint in zip(self._episode.body.servos, self._arm.joints, strict=True)
+            servo.torque_enabled
+            and servo.get(ax12a.TORQUE_LIMIT) < round(ax12a.LOAD_MAX * one.joint.torque_limit_ratio)
+            for servo, one in zip(self._episode.body.servos, self._arm.servos, strict=True)
         )
 
     @property
@@ -86,7 +87,7 @@ class Person:
         """Where the arm is commanded to be [rad], as the host knows it: by the goals the servos show."""
         assert self._record is not None
         found = []
-        for joint, reading in zip(self._arm.joints, self._record.inputs.sample.servos, strict=True):
+        for joint, reading in zip(self._arm.joints, self._record.inputs.sample.servos, strict=False):
             if not reading.registers:
                 return None
             found.append(joint.position_rad(ax12a.register_value(ax12a.GOAL, reading.registers)))

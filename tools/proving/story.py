@@ -229,15 +229,14 @@ def paired(story: Story, seed: int, episode: int, arm: ArmConfig) -> Story:
     for at_s in np.sort(rng.uniform(8.0, story.duration_s - 15.0, 3)).tolist():
         pair = arm.pairs[int(rng.integers(len(arm.pairs)))]
         value = float(rng.choice((6, 15, 15, 25)) * rng.choice((-1, 1)))
-        slips = {"kind": "pair_mismatch", "servo_id": arm.servo_ids[pair[1]], "value": value}
-        dies = {
-            "kind": str(rng.choice(("trip", "brown_out", "mute"))),
-            "servo_id": arm.servo_ids[int(rng.choice(pair))],
-        }
-        for what, later_s in ((slips, 0.0), (dies, float(rng.uniform(0.0, 14.0)))):
-            lasts_s = float(rng.uniform(0.5, 9.0))
-            begins_s = round(at_s + later_s, 4)
-            lines.append(Strike(Fault(**what, begin_s=begins_s, duration_s=round(lasts_s, 3))))
+        dies = str(rng.choice(("trip", "brown_out", "mute")))
+        for kind, index, amount, later_s in (
+            ("pair_mismatch", pair[1], value, 0.0),
+            (dies, int(rng.choice(pair)), None, float(rng.uniform(0.0, 14.0))),
+        ):
+            begin_s, lasts_s = round(at_s + later_s, 4), round(float(rng.uniform(0.5, 9.0)), 3)
+            struck = arm.servo_ids[index]
+            lines.append(Strike(Fault(kind=kind, servo_id=struck, value=amount, begin_s=begin_s, duration_s=lasts_s)))
     return replace(story, lines=tuple(sorted((*story.lines, *lines), key=lambda line: line.at_s)))
 
 
