@@ -3,7 +3,7 @@
 | rule | from when | bound |
 |-|-|-|
 | told | both read farther apart than an honest pair may, and are heard | PAIR_MISMATCH within 3 s |
-| fight | both have torque, the joint stands, no goal changes | one takes back over 0.2 of the other's output for 3 s |
+| fight | both have torque, the joint stands, no goal changes | 0.2 of the output that they do not share, for 3 s |
 """
 
 import math
@@ -49,8 +49,8 @@ class PairWatch:
             turned = self._arm.servos[first].direction * self._arm.servos[second].direction
             apart = abs(b.sensed_tick - self._arm.servos[second].beside_tick(a.sensed_tick))
             works = strains[first].output, turned * strains[second].output
-            against = min(map(abs, works)) if works[0] * works[1] < 0.0 and a.torque and b.torque else 0.0
-            if apart > PAIR_ROOM - NOISE_TICKS or abs(works[0] - works[1]) / 2.0 > PAIR_PUSH - NOISE_RATIO:
+            against = abs(works[0] - works[1]) / 2.0 if a.torque and b.torque else 0.0
+            if apart > PAIR_ROOM - NOISE_TICKS or against > PAIR_PUSH - NOISE_RATIO:
                 self.off_s = now_s
             judged = well[first] and well[second]
             is_apart = judged and not told and apart > PAIR_ROOM + NOISE_TICKS
