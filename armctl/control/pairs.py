@@ -7,6 +7,7 @@ Rules.
    has it, whose zero is the joint's. While one is not heard, it is where the other one has it. Each bears half of the
    load. The joint is as old, as hot and as low on voltage as the worse one.
 3. Torque comes on with each servo's goal at its own place, and a relief puts each there: then none pulls at the other.
+   With the next motion the second one comes to its place beside the first one, tick by tick.
 4. Two that read farther apart than `APART_TICKS`, limp or not, or that push against each other with more than
    `AGAINST_RATIO` of their output while the joint stands, for `PAIR_S`, are a fault, PAIR_MISMATCH: a horn has slipped,
    or their table is wrong. Each tick that shows them so at rest relieves them. Not of a gripper, where each servo has a

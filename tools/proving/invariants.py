@@ -95,7 +95,12 @@ class Judge(TorqueJudge):
             (max(low, joint.low), min(high, joint.high))
             for joint, (low, high) in zip(arm.servos, eeprom_limits, strict=True)
         ]
-        self._steps = [joint.speed_deg_s * period_s / TICK_DEG + self._bend_ticks for joint in arm.servos]
+        # A second servo may come a tick nearer to its place beside the first one, and is rounded by itself.
+        self._aligns = [2.0 if joint.beside >= 0 else 0.0 for joint in arm.servos]
+        self._steps = [
+            joint.speed_deg_s * period_s / TICK_DEG + self._bend_ticks + more
+            for joint, more in zip(arm.servos, self._aligns, strict=True)
+        ]
         self._speeds = [joint.speed_units for joint in arm.servos]
         self._rest_step = REST_SPEED_DEG_S * period_s / TICK_DEG + self._bend_ticks
         self._sent_lately: list[deque[tuple[float, int]]] = [deque(maxlen=40) for _ in arm.servos]
@@ -320,16 +325,17 @@ class Judge(TorqueJudge):
                 self._violate(duty.invariant, now_s, i, text)
         if self._mode == JOGGING and (since_s := now_s - self._asked_s["jog"]) > JOG_S:
             self._violate("6", now_s, i, f"jogs on {since_s:.2f} s after the last heartbeat (bound {JOG_S:.2f})")
-        if self._mode == JOGGING and way > self._rest_step:
-            self._violate("2", now_s, i, f"goal {known} -> {goal} in a jog (bound {self._rest_step:.1f})")
+        rest_step = self._rest_step + self._aligns[i]
+        if self._mode == JOGGING and way > rest_step:
+            self._violate("2", now_s, i, f"goal {known} -> {goal} in a jog (bound {rest_step:.1f})")
         for j, heard_s in enumerate(self._heard_s):
             if now_s - heard_s > AGE_S:
                 self._violate("8", now_s, j, f"the arm moves on, {now_s - heard_s:.3f} s after its last reply")
         settling = self._settling()
         since_s = now_s - max(self._fault_s, self._asked_s.get("park", -math.inf))
         if (settling or self._mode == PARKING) and since_s > STOP_S:
-            if way > self._rest_step:
-                self._violate("5", now_s, i, f"goal {known} -> {goal} on the way to rest (bound {self._rest_step:.1f})")
+            if way > rest_step:
+                self._violate("5", now_s, i, f"goal {known} -> {goal} on the way to rest (bound {rest_step:.1f})")
             if settling:
                 self._led_to_rest(now_s, i, known, goal)
 
