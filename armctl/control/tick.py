@@ -55,7 +55,7 @@ class WireJoint(NamedTuple):
         return self.direction * (tick - self.zero_tick) * ax12a.TICK_RAD
 
     def beside(self, tick: int) -> int:
-        """Goal [tick] of a second servo where the first one of its joint has the goal `tick`."""
+        """Goal [tick] of a second servo beside that of the first one."""
         return self.within_limits(tick if self.linkage is None else round(self.linkage.second(tick)))
 
     def within_limits(self, tick: int) -> int:
@@ -65,10 +65,10 @@ class WireJoint(NamedTuple):
 
 def _wire_joint(servo: Servo) -> WireJoint:
     joint, link = servo.joint, servo.linkage
-    direction, speed_rad_s = joint.direction * (1 if link is None else link.sense), joint.speed_limit_rad_s
+    turned, speed_rad_s = joint.direction * (1 if link is None else link.sense), joint.speed_limit_rad_s
     units = ax12a.moving_speed_units(speed_rad_s), round(ax12a.TORQUE_LIMIT.maximum * joint.torque_limit_ratio)
-    placed = servo.servo_id, direction, joint.zero_tick, *servo.limits_tick
-    return WireJoint(*placed, speed_rad_s, *units, joint.name, servo.of, link)
+    more = *servo.limits_tick, speed_rad_s, *units, joint.name, servo.of, link
+    return WireJoint(servo.servo_id, turned, joint.zero_tick, *more)
 
 
 def of_latest_arm(make: Callable[..., Made]) -> Callable[..., Made]:
@@ -181,8 +181,8 @@ class Tick:
 
     def goals_rad(self) -> tuple[float, ...]:
         """Where the joints' goals are that were decided; empty: there are none."""
-        goal = self.state.goal[: len(self.joints)]
-        return tuple([joint.position_rad(tick) for joint, tick in zip(self.wire, goal, strict=False)])
+        rows = zip(self.joints, self.wire, self.state.goal, strict=False)
+        return tuple([joint.position_rad(tick) for _, joint, tick in rows])
 
     def wanted_rad(self) -> tuple[float, ...]:
         """Where the joints are wanted; empty: nowhere."""
@@ -357,8 +357,7 @@ class Tick:
     def send_goal(self, ticks: Sequence[int]) -> None:
         """Goal and speed for every servo, inside the limits; each arrives in one tick from where its ramp is by now.
 
-        Of as many ticks as there are joints, those of second servos follow by how they read against the first ones.
-        None is sent to an arm that is being let go: it would energise what is limp already.
+        Those of second servos may be left out. None is sent to an arm that is let go: it would energise what is limp.
         """
         if self.state.letting_go is not None:
             return
