@@ -257,10 +257,10 @@ def look_at_ramps(s: Tick) -> None:
     if state.motion is None and state.jog is None:
         state.lazy_ticks = min(0, state.lazy_ticks + 1)
         return
-    speeds = (0.0,) * len(s.wire) if state.following is None else state.following.velocity_rad_s
+    speeds = (0.0,) * len(s.joints) if state.following is None else state.following.velocity_rad_s
     lazy, at_once = False, False
-    for servo, goal, ramp, speed in zip(s.servos, state.goal, s.ramps(), speeds, strict=True):
-        way = abs(speed) * s.period_s / ax12a.TICK_RAD
+    for wire, servo, goal, ramp in zip(s.wire, s.servos, state.goal, s.ramps(), strict=True):
+        way = abs(speeds[wire.of]) * s.period_s / ax12a.TICK_RAD
         behind = 0.0 if servo is None or servo.goal != goal else abs(ramp - servo.position) - 0.5 * way
         if servo is None or behind <= BEHIND_TICKS:
             continue
