@@ -13,7 +13,7 @@ from click.testing import CliRunner
 from armctl.control.machine import State
 from armctl.control.step import step
 from armctl.messages import Event, Inputs, Mode, Outputs, SetRate, TickRecord
-from armctl.sim.faults import KINDS, Fault
+from armctl.sim.faults import Fault
 from proving import __main__ as proving
 from proving import soak
 from proving.episode import Episode, Stage, stage
@@ -24,6 +24,7 @@ from proving.reading import TICK_DEG
 from proving.story import (
     DAMAGES,
     HAPPENINGS,
+    KINDS,
     PAIRS,
     WISHES,
     Garble,
