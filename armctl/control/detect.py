@@ -251,11 +251,11 @@ def look_at_ramps(s: Tick) -> None:
     state = s.state
     if s.arm.ramp_from_reference is not None or state.ramp_restarts:
         return
-    if not (s.fresh and s.all_powered()) or state.faults or s.found or state.sent:
-        state.lazy_ticks = -s.ticks_in(CLEAN_S)
-        return
     if state.motion is None and state.jog is None:
         state.lazy_ticks = min(0, state.lazy_ticks + 1)
+        return
+    if not (s.fresh and s.all_powered()) or state.faults or s.found or state.sent:
+        state.lazy_ticks = -s.ticks_in(CLEAN_S)
         return
     speeds = (0.0,) * len(s.joints) if state.following is None else state.following.velocity_rad_s
     lazy, at_once = False, False

@@ -197,7 +197,7 @@ DATA = "xdg_data_home/armctl"
     ("recordings delete s", ["plain,swing"]),
     ("optimize line-1 s", ["plain,swing"]),
     ("play ./s", ["file,./s"]),
-    ("daemon --arm c", ["plain,crane-plus-v2"]),
+    ("daemon --arm c", ["plain,crane-plus-v2", "plain,crustcrawler"]),
     ("ik --robot pu", ["plain,puma560"]),
     ("run h", ["plain,here.json"]),
     ("run {}/plans/l", ["plain,{}/plans/line.json"]),
