@@ -89,7 +89,7 @@ def test_a_variation_keeps_the_rest_pose_and_goes_beyond_no_limit() -> None:
             assert was.limits_deg[0] <= joint.limits_deg[0] < joint.limits_deg[1] <= was.limits_deg[1]
 
 
-@pytest.mark.parametrize("name", SHIPPED)
+@pytest.mark.parametrize("name", [*SHIPPED, "crustcrawler", "phantomx-reactor"])
 def test_links_are_where_the_package_has_them(name: str) -> None:
     arm = arm_of(arm_text(name))
     chain = robots.get(arm.robot, arm.lengths_m).chain

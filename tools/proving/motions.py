@@ -38,6 +38,12 @@ class Row(Protocol):
     @property
     def offset(self) -> float: ...
 
+    @property
+    def b(self) -> float: ...
+
+    @property
+    def beta(self) -> float: ...
+
 
 class Chain(Protocol):
     """The links of an arm."""
@@ -50,6 +56,9 @@ class Chain(Protocol):
 
     @property
     def tool_m(self) -> float: ...
+
+    @property
+    def tool(self) -> Row: ...
 
 
 class Motion(Protocol):
@@ -126,11 +135,14 @@ class MotionJudge:
         frame = np.broadcast_to(np.eye(4), (len(rows), 4, 4))
         found = [frame]
         for row, q in zip(chain.rows, rows.T, strict=False):
-            turn, twist = _about_z(q + row.offset, row.d), _about_x(row.alpha, row.a)
-            frame = frame @ (turn @ twist if chain.convention == "standard" else twist @ turn)
+            if chain.convention == "standard":
+                frame = frame @ _about_z(q + row.offset, row.d) @ _about_x(row.alpha, row.a)
+            else:
+                frame = frame @ _before(row) @ _about_z(q + row.offset, 0.0)
             found.append(frame)
-        if chain.tool_m:
-            found.append(frame @ _about_x(0.0, chain.tool_m))
+        tool = chain.tool
+        if any((chain.tool_m, tool.a, tool.alpha, tool.d, tool.offset, tool.b, tool.beta)):
+            found.append(frame @ _about_x(0.0, chain.tool_m) @ _before(tool))
         return np.stack([T[:, :3, 3] for T in found], axis=1)
 
 
@@ -141,6 +153,15 @@ def _about_z(angles: np.ndarray, along_m: float) -> np.ndarray:
     T[:, 0, 1] = -T[:, 1, 0]
     T[:, 2, 3] = along_m
     return T
+
+
+def _before(row: Row) -> np.ndarray:
+    """What of a modified row lies before its joint: along and about x, along y and z, about y."""
+    aside = np.eye(4)
+    cos, sin = math.cos(row.beta), math.sin(row.beta)
+    aside[:3, :3] = [[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]]
+    aside[1:3, 3] = row.b, row.d
+    return np.asarray(_about_x(row.alpha, row.a) @ aside)
 
 
 def _about_x(angle: float, along_m: float) -> np.ndarray:
