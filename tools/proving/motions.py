@@ -159,8 +159,8 @@ def _before(row: Row) -> np.ndarray:
     """What of a modified row lies before its joint: along and about x, along y and z, about y."""
     aside = np.eye(4)
     cos, sin = math.cos(row.beta), math.sin(row.beta)
-    aside[:3, :3] = [[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]]
-    aside[1:3, 3] = row.b, row.d
+    aside[:3, :3] = np.array([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]])
+    aside[1:3, 3] = np.array([row.b, row.d])
     return np.asarray(_about_x(row.alpha, row.a) @ aside)
 
 

@@ -314,7 +314,7 @@ class StandingJudge(ShaftJudge):
         still = abs(servo.shaft_tick - before.shaft_tick) <= STILL_TICKS and servo.goal == before.goal
         # A motor that does less than gravity asks for holds back; it does not push.
         may = (0.0, strain.gravity, strain.gravity if strain.carrying is None else strain.carrying)
-        grip = GRIP if i == self._arm.gripper else 0.0
+        grip = GRIP if self._arm.gripper in (i, self._arm.servos[i].beside) and self._arm.gripper >= 0 else 0.0
         needed = min(max(strain.output, min(may) - grip), max(may) + grip)
         # A motor that turns nothing pushes against nothing; one that sees nothing seems to bear a weight.
         idle = duties.lately(now_s, {"stuck_joint", "frozen_sensor"}, i=i)
