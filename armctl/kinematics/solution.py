@@ -221,9 +221,7 @@ def _found(
         q = _slid(robot, target, starts[on], present, limits)
         # Where members of families lie in steps there may be one within the limits between two of them.
         if len(q) and (families.shape[1] == 1 or not _beyond_rad(q, limits).all()):
-            cost, of = _cost(q, present, limits), of[on]
-            best = np.array([cost[of == k].min() for k in of])
-            return q[cost < best + SAME_RAD], 0.0
+            return np.concatenate([_nearest(q[of[on] == k], present, limits) for k in np.unique(of[on])]), 0.0
         if target.turned and not len(q):
             return form.nearest_pose(target.T)
         starts = _cheapest(finite(families), present, limits, STARTS)
@@ -264,6 +262,14 @@ def _cost(q: FloatArray, present: FloatArray, limits: FloatArray) -> FloatArray:
 def _cheapest(q: FloatArray, present: FloatArray, limits: FloatArray, count: int) -> FloatArray:
     q = within_a_turn(q, limits)
     return np.asarray(q[_order(q, _cost(q, present, limits))[:count]])
+
+
+def _nearest(q: FloatArray, present: FloatArray, limits: FloatArray) -> FloatArray:
+    """Of one branch, shape (k, n), the nearest member, and its mirror image where that is as near."""
+    q = _cheapest(q, present, limits, len(q))
+    cost = _cost(q, present, limits)
+    twins = np.flatnonzero((cost < cost[0] + SAME_RAD) & (np.abs(q - q[0]).max(axis=1) > NEAR_RAD))
+    return np.asarray(q[[0, *twins[:1]]])
 
 
 def _order(q: FloatArray, travel: FloatArray, *before: FloatArray | NDArray[np.bool_]) -> NDArray[np.intp]:
