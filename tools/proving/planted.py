@@ -103,8 +103,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "(__r, __s, __t, __u, (ax12a.PUNCH, __punch), (ax12a.TORQUE_LIMIT, SOFT_TORQUE))",
         "(__r, __s, __t, __u, (ax12a.PUNCH, __punch))")),
     _m("torque-on at a goal of its own", CONTROL,
-       ("__ticks.append(__s.wire[__index].within_limits(__position))",
-        "__ticks.append(__s.wire[__index].within_limits(__position) + 9)"),
+       ("__ticks.append(__servo.within_limits(__position))", "__ticks.append(__servo.within_limits(__position) + 9)"),
        ("__s.limp_shaft(__index, __state.anchor[__index])",
         "__s.limp_shaft(__index, __state.anchor[__index] - 9)._replace(tick=__state.anchor[__index])")),
     _m("an EEPROM write in service", CONTROL, (
@@ -175,7 +174,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "return __s.finish_jog(__jog.stop_code or 'NO_HEARTBEAT')", "return None")),
     _m("overload is never seen", CONTROL, ("LOAD_RATIO = 0.8", "LOAD_RATIO = 1.8")),
     _m("a blocked joint is not relieved", CONTROL, (
-        "if __s.latch_servo('BLOCKED', __i, __found):\n    relieve(__s, __i)",
+        "if __s.latch_servo('BLOCKED', __i, __found):\n    relieve(__s, __s.wire[__i].of)",
         "if __s.latch_servo('BLOCKED', __i, __found):\n    __s.state.looks = ()")),
     _m("a stop on the way to rest is lost", CONTROL, (
         "if __s.state.phase in TO_REST:\n    __s.give_up_rest(__code, __why)\n__s.stop_motion(__code)",
@@ -204,8 +203,8 @@ MUTANTS: tuple[Mutant, ...] = (
 
     # ------------------------------------------------------------------------------------------------ what is told
     _m("a fault names the servo beside", CONTROL, (
-        "__joint = __s.arm.joints[__index]\nreturn __s.latch(__code, __text, __joint.servo_id)",
-        "__joint = __s.arm.joints[__index - 1]\nreturn __s.latch(__code, __text, __joint.servo_id)")),
+        "__servo = __s.wire[__index]\nreturn __s.latch(__code, __text, __servo.servo_id)",
+        "__servo = __s.wire[__index - 1]\nreturn __s.latch(__code, __text, __servo.servo_id)")),
     _m("direction is dropped in position", CONTROL, (
         "__joint.position_rad(__servo.position)",
         "(__servo.position - __joint.zero_tick) * ax12a.TICK_RAD")),
@@ -227,9 +226,9 @@ MUTANTS: tuple[Mutant, ...] = (
     _m("strain one way round is not noticed", CONTROL, (
         "abs(__joint.load_ratio) > LOAD_RATIO", "__joint.load_ratio > LOAD_RATIO")),
     _m("cleared while a servo is hot", CONTROL, (
-        "[__now.temperature_degC >= __limit_degC for __now in __s.joints]", "[False for __now in __s.joints]")),
+        "[__now.temperature_degC >= __limit_degC for __now in __s.each]", "[False for __now in __s.each]")),
     _m("cleared while a servo is silent", CONTROL,
-       ("[not __now.known or __now.age_s > PAUSE_AGE_S for __now in __s.joints]", "[False for __now in __s.joints]"),
+       ("[not __now.known or __now.age_s > PAUSE_AGE_S for __now in __s.each]", "[False for __now in __s.each]"),
        ("for __problem in __s.state.problems:\n    ...",
         "for __problem in __s.state.problems[:0]:\n    ...")),
     _m("servos that are limp beside others are adopted", CONTROL, (
