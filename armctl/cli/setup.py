@@ -86,7 +86,8 @@ def setup_command(output: Output, arm_file: str | None, answers: Path | None) ->
 
     over_pipe = output.json and not answers
     person = OverPipe(output) if over_pipe else AtTerminal(output, "armctl setup", "or give --answers FILE", answers)
-    kind = arm_file or person.ask("kind", "which arm is yours like?", [arm["name"] for arm in arms_at_hand()])
+    kinds = [arm["name"] for arm in arms_at_hand() if not (arm["joints"] and load_arm(arm["path"]).pairs)]
+    kind = arm_file or person.ask("kind", "which arm is yours like?", kinds)
     arm, path = load_arm(kind), active_path(kind)
     if arm.pairs:
         text = "two servos on one joint turn together, which no question here tells apart"

@@ -1,5 +1,6 @@
 """The commands that set an arm up, on a simulated arm in virtual time and once on the real pseudo terminal."""
 
+import io
 import json
 import shutil
 import sys
@@ -13,7 +14,7 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from armctl.cli import setup
+from armctl.cli import main, setup
 from armctl.commissioning.calibration import Readings, Touch, calibration_text, readings_text
 from armctl.config import ArmConfig
 from armctl.dynamixel import ax12a
@@ -378,3 +379,14 @@ def test_doctor_on_a_slow_terminal_with_a_wrong_id_names_all_three(tmp_path: Pat
     assert bad["wrong_id"] == f"armctl servo set-id 9 4 --port {link}"
     assert bad["return_delay"].startswith("armctl servo set-return-delay ")
     assert "latency_timer" in bad["adapter_latency"]
+
+
+def test_no_arm_is_offered_that_questions_cannot_set_up(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "stdin", io.StringIO(""))
+    main(["setup", "--port", "x", "--json"])
+    [asked, *_] = [json.loads(line)["question"] for line in capsys.readouterr().out.splitlines() if "question" in line]
+    assert asked["key"] == "kind"
+    assert "phantomx-pincher" in asked["choices"]
+    assert not {"phantomx-reactor", "crustcrawler"} & set(asked["choices"])
