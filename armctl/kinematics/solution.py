@@ -278,9 +278,12 @@ def _order(q: FloatArray, travel: FloatArray, *before: FloatArray | NDArray[np.b
 
 
 def _distinct(q: FloatArray) -> FloatArray:
-    """Of configurations, shape (k, n), those that none before them is."""
-    apart = np.abs(q[:, None] - q).max(axis=2) >= SAME_RAD
-    return np.asarray(q[(apart | np.triu(np.ones_like(apart))).all(axis=1)])
+    """Of configurations, shape (k, n), those that none taken before them is; few are, of thousands."""
+    taken, joints = [], q.shape[1]
+    while len(q):
+        taken.append(q[0])
+        q = q[np.abs(q - q[0]).max(axis=1) >= SAME_RAD]
+    return np.reshape(taken, (-1, joints))
 
 
 def _slid(robot: Robot, target: Target, q: FloatArray, present: FloatArray, limits: FloatArray) -> FloatArray:
