@@ -40,7 +40,8 @@ fi
 if [ "$(cat "$stamp" 2>/dev/null)" != "$wanted" ]; then
     echo "Installing armctl$extra (a minute or two the first time) ..." >&2
     log="$venv/install.log"
-    if ! "$venv/bin/python" -m pip install --disable-pip-version-check --constraint "$constraints" \
+    # Compiled is what is imported, then: a tenth of it, and all of it takes as long as everything else.
+    if ! "$venv/bin/python" -m pip install --no-compile --disable-pip-version-check --constraint "$constraints" \
         --editable "$root$extra" >"$log" 2>&1; then
         tail -n 15 "$log" >&2
         echo "The installation failed; the whole log is in $log. Is the network up?" >&2

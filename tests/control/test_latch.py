@@ -231,6 +231,7 @@ def parking() -> IdealArm:
     return arm
 
 
+@pytest.mark.no_cover
 @given(st.sampled_from(sorted(SITUATIONS)), st.permutations(sorted(SHOWN)), st.lists(st.integers(0, 12), min_size=2))
 @settings(max_examples=40)
 def test_no_fault_hides_another_in_any_mode_and_in_any_order(situation: str, codes: list[str], gaps: list[int]) -> None:

@@ -52,6 +52,7 @@ def drawn(limits: FloatArray, rng: np.random.Generator) -> FloatArray:
     return np.asarray(rng.uniform(low, high))
 
 
+@pytest.mark.no_cover
 @given(st.sampled_from(NAMES), rngs, st.booleans())
 @settings(max_examples=60, deadline=None)
 def test_an_arm_that_is_there_stays(name: str, rng: np.random.Generator, turned: bool) -> None:
@@ -88,6 +89,7 @@ def test_where_a_wrist_is_straight_the_nearest_within_limits_is_found(name: str,
     assert travel <= weighted_travel(members, present, limits).min() + 1e-6
 
 
+@pytest.mark.no_cover
 @given(st.sampled_from(["lanzhou-4dof", "ax12-line"]), rngs)
 @settings(max_examples=80, deadline=None)
 def test_a_point_that_is_reached_at_limits_is_found_within_them(name: str, rng: np.random.Generator) -> None:
@@ -127,6 +129,7 @@ def test_a_genetic_algorithm_says_reachable_only_of_what_it_reaches(method: Any,
     assert genetic.solve(robot, point_target(xyz), method=method, seed=1).reachable
 
 
+@pytest.mark.no_cover
 @given(rngs)
 @settings(max_examples=30, deadline=None)
 def test_of_the_family_that_a_fourth_link_leaves_the_nearest_is_found(rng: np.random.Generator) -> None:
@@ -156,6 +159,7 @@ SEVEN = Robot(
 )
 
 
+@pytest.mark.no_cover
 def test_of_seven_joints_none_of_thirty_restarts_comes_nearer() -> None:
     rng, (low, high) = np.random.default_rng(8), SEVEN.limits_rad.T
     for _ in range(15):

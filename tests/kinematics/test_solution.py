@@ -59,6 +59,7 @@ def test_every_point_in_range_is_reached_to_1e_9(robot: Robot, method: Method) -
         assert answer.solutions[0].orientation_error_rad == 0.0
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("method", get_args(Method))
 def test_out_of_reach_the_nearest_configuration_is_at_the_least_distance(
     robot: Robot, method: Method, monkeypatch: pytest.MonkeyPatch
@@ -94,6 +95,7 @@ def test_three_of_the_hundred_grid_targets_of_xiang_are_out_of_reach_by_known_di
     assert sum(missed.values()) == pytest.approx(0.0107, abs=1e-4)
 
 
+@pytest.mark.no_cover
 def test_two_hundred_puma_poses_are_solved_numerically_to_1e_6() -> None:
     robot = dataclasses.replace(robots.get("puma560"), closes=False)
     for T in forward_kinematics(robot.chain, in_range(robot, 200)):
@@ -119,6 +121,7 @@ def test_the_solution_nearest_to_the_present_comes_first() -> None:
     assert travels == sorted(travels)
 
 
+@pytest.mark.no_cover
 @given(rngs, st.floats(-16.0, -11.0))
 @settings(max_examples=30)
 def test_of_mirror_images_that_are_as_near_the_same_comes_first_however_numbers_are_rounded(

@@ -52,6 +52,7 @@ def keeps_its_turn(chain: SerialChain, q: FloatArray, places_m: FloatArray, limi
     return True
 
 
+@pytest.mark.no_cover
 @settings(max_examples=20)
 @example("xiang-6dof", (0.220703125, 0.078125, 0.0625))  # the elbow would go beyond its limit, and does not come to it
 @example("xiang-6dof", (0.23046875, 0.0, 0.0625))  # the elbow comes to its limit
@@ -124,6 +125,7 @@ def test_a_point_out_of_reach_is_told_with_its_exact_distance(x: float, away_m: 
     assert caught.value.least_error_m == pytest.approx(away_m, abs=1e-9)
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize(
     ("point", "match"),
     [

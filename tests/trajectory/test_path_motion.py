@@ -71,6 +71,7 @@ def test_no_joint_leaves_its_limits_less_the_room_for_corrections_or_jumps_to_an
     assert np.abs(np.diff(q, 2, axis=0)).max() < math.radians(0.5)
 
 
+@pytest.mark.no_cover
 def test_an_arm_that_faces_its_path_does_not_turn_its_base_around_for_it() -> None:
     arm = load_arm("xiang-6dof")
     robot = robots.get(arm.robot, arm.lengths_m)
