@@ -135,6 +135,11 @@ class JointConfig(Frozen):
         return None if self.pair is None else self.pair.linked(self.direction, self.zero_tick)
 
     @property
+    def servo_count(self) -> int:
+        """How many servos turn it."""
+        return 1 if self.pair is None else 2
+
+    @property
     def speed_limit_rad_s(self) -> float:
         return math.radians(self.speed_limit_deg_s)
 
@@ -308,6 +313,12 @@ class ArmConfig(Frozen):
     def pairs(self) -> tuple[tuple[int, int], ...]:
         """Places in `servos` of the two servos of every joint that has two."""
         return tuple((servo.of, index) for index, servo in enumerate(self.servos) if servo.linkage is not None)
+
+    @cached_property
+    def rigid_pairs(self) -> tuple[tuple[int, int], ...]:
+        """Those of `pairs` that turn one shaft; each servo of a gripper has a finger of its own."""
+        grips = self.gripper and self.gripper.joint
+        return tuple(pair for pair in self.pairs if self.joints[pair[0]].name != grips)
 
     @cached_property
     def joint_names(self) -> tuple[str, ...]:
