@@ -58,9 +58,9 @@ function show(latest) {
   $("notice").hidden = !notice;
   controls();
   keepRate(state);
+  if (drive) drive.show(state, latest?.joints ?? []);
   if (!latest) return;
   latest.joints.forEach(showJoint);
-  if (drive) drive.show(state, latest.joints);
   const place = latest.tool && latest.tool.position_m;
   $("tool").textContent = place ? place.map((value) => Math.round(1000 * value) || 0).join(", ") + " mm" : "–";
   $("tick").textContent = latest.tick;
@@ -260,5 +260,6 @@ act(null, async () => {
   if (page.view) page.view.led = pointLed;
   drive = new Drive(post, page.view);
   makeJointRows();
+  show(page.snapshot);
   if (asked.get("view") in ENTER) view(asked.get("view"));
 });

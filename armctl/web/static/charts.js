@@ -53,7 +53,7 @@ export class Chart {
     if (this.plot) this.plot.destroy();
     this.element.dataset.ink = css("--ink");
     const axis = (label) => ({ label, stroke: css("--ink"), grid: { stroke: css("--edge"), width: 1 }, ticks: { stroke: css("--edge") },
-      font: "12px system-ui", labelFont: "13px system-ui", labelSize: 22 });
+      font: "12px system-ui", labelFont: "13px system-ui", labelSize: 20 });
     const { low: least, span } = this;
     const scale = this.log ? { distr: 3 } : { range: (_, low, high) => {
       const room = Math.max(0.06 * (high - low), (span - high + low) / 2);
@@ -62,7 +62,7 @@ export class Chart {
     this.plot = new uPlot({
       ...this.size(), legend: { show: false }, cursor: { y: false, drag: { x: true, y: false } },
       scales: { x: { time: false }, y: scale },
-      axes: [{ ...axis(this.x), size: 34 }, { ...axis(this.y), size: 52 }],
+      axes: [{ ...axis(this.x), size: 30 }, { ...axis(this.y), size: 46 }],
       series: [{}, ...this.series.map(({ name }, i) => ({ label: name, stroke: COLOURS[i % COLOURS.length], width: 2, spanGaps: true, points: { show: false } }))],
       hooks: { draw: [(plot) => this.lines(plot)] },
     }, data, this.canvas);

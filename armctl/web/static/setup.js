@@ -34,8 +34,8 @@ export function showSetUp(message) {
   $("setup-go").textContent = told.length ? "Go on" : "Begin";
   $("setup-question").hidden = !waits;
   $("setup-busy").hidden = !(running ? !waits : last.error);
-  $("setup-busy").textContent = running ? "Looking at the servos …" : last.error ?? "";
-  $("setup-busy").className = running ? "hint" : "alarm";
+  $("setup-busy").textContent = running ? "Looking at the servos …" : last.error?.message ?? "";
+  $("setup-busy").className = running || last.error?.code === "INTERRUPTED" ? "hint" : "alarm";  // that was asked for
   $("setup-done").hidden = !last.arm;
   $("setup-arm").textContent = last.arm ? `Its file is ${last.arm}. Start the arm, then teach it a line.` : "";
   if (!waits) shown = -1;
