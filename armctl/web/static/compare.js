@@ -67,7 +67,7 @@ async function drawCompare() {
   if (!paths.length) return;
   const line = wantedLine();
   if (line) drawDeviation("deviation", paths, ...line);
-  $("paths-names").replaceChildren(...namesOf(paths.map(([name]) => name)));
+  $("paths-names").replaceChildren(...namesOf(paths.map(([name]) => ({ name }))));
   pathView ??= armView("paths", null);
   if (pathView) pathView.paths([...paths.map(([, path], i) => [onTheWay(path, line), COLOURS[i % COLOURS.length], false]), [line || [], "--red", true]]);
 }

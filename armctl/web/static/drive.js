@@ -81,7 +81,7 @@ export class Drive {
     $("go").disabled = !any || this.state !== "holding";
     $("go-reset").disabled = !any;
     const all = this.joints.every(({ at }) => at !== null);
-    this.view?.aim(any && all ? this.wanted() : null);
+    this.view?.aim(any && all && !$("view-arm").hidden ? this.wanted() : null);
   }
 
   reset() {

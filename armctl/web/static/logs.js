@@ -9,12 +9,14 @@ let open = null, events = [], beside = null, view = null;
 
 export async function loadLogs() {
   const { logs } = await request("/logs");
-  const rows = logs.map((log) => [log.name, `${log.name} (${(log.bytes / 1e6).toFixed(1)} MB)`]);
-  fill($("log-choice"), rows);
+  const rows = logs.map((log) => [log.name, `${told(log.name)} (${(log.bytes / 1e6).toFixed(1)} MB)`]);
+  fill($("log-choice"), rows.length ? rows : [["", "none yet"]]);
   fill($("log-beside"), [["", "no other"], ...rows]);
   if ($("log-choice").value) await showLog($("log-choice").value);
 }
 
+// A log's name for people: of what, when it began, which one, and whether it is written still.
+const told = (name) => name.replace(/-(\d{4})(\d\d)(\d\d)T(\d\d)(\d\d)(\d\d)Z-/, " $1-$2-$3 $4:$5:$6 ").replace(/[.]mcap$/, "").replace(/[.]mcap[.]part$/, ", still open");
 const track = (name) => request(`/logs/${encodeURIComponent(name)}`);
 const happened = (expression) => request(`/logs/find?expression=${encodeURIComponent(expression)}`);
 
@@ -70,8 +72,8 @@ function listEvents(list, some, go, textOf = (event) => `${event.time_s.toFixed(
     button.type = "button";
     button.textContent = textOf(event);
     button.addEventListener("click", () => go(event));
-    const told = event.text.startsWith(event.code) ? event.text : [event.code, event.text].filter(Boolean).join(": ");
-    item.append(button, ` ${told}`);
+    const words = event.text.startsWith(event.code) ? event.text : [event.code, event.text].filter(Boolean).join(": ");
+    item.append(button, words.replaceAll(" -> ", " \u2192 "));
     return item;
   }));
   if (!some.length) list.replaceChildren(Object.assign(document.createElement("li"), { textContent: "nothing" }));
