@@ -8,7 +8,7 @@ import { enterGuide, guide, pointLed, progressed, showTeaching, wireGuide } from
 import { drawLive, remember } from "/live.js";
 import { loadLogs, wireLogs } from "/logs.js";
 import { enterSetUp, settingUp, showSetUp, wireSetUp } from "/setup.js";
-import { $, act, after, armView, asked, confirmed, degrees, logIn, millimetres, page, post, request, tell, token, torqueOn, views } from "/page.js";
+import { $, act, after, armView, asked, confirmed, degrees, logIn, millimetres, page, post, request, tell, token, torqueOn, views, words } from "/page.js";
 
 let drive = null;
 const trail = [];
@@ -115,7 +115,11 @@ function showFaults(faults) {
   $("faults").replaceChildren(...told.map(([title, ...lines]) => {
     const card = document.createElement("article"), heading = document.createElement("h2");
     heading.textContent = title;
-    card.append(heading, ...lines.filter(Boolean).map((line) => Object.assign(document.createElement("p"), { textContent: line })));
+    card.append(heading, ...lines.filter(Boolean).map((line) => {
+      const said = document.createElement("p");
+      said.append(...words(line));
+      return said;
+    }));
     return card;
   }));
 }

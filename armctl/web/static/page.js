@@ -69,6 +69,9 @@ const RULES = {
   },
 };
 
+// What is told, with commands between backquotes as such.
+export const words = (text) => text.split("`").map((part, i) => i % 2 ? Object.assign(document.createElement("code"), { textContent: part }) : part);
+
 // Say beside a field what is wrong with it; nothing: not any more.
 export function beside(field, text) {
   const id = field.dataset.problem ?? `${field.id || field.name}-problem`;
@@ -116,7 +119,7 @@ export async function request(path, { method = "GET", body } = {}) {
 export const post = (path, body = {}) => request(path, { method: "POST", body });
 
 export function tell(text) {
-  $("message").textContent = text;
+  $("message").replaceChildren(...words(text));
   $("message").hidden = !text;
 }
 
