@@ -148,7 +148,7 @@ def test_a_token_that_opens_nothing_is_told_beside_its_field_alone(unserved: Pag
     page.click("#login [type=submit]")
     expect(page.locator("#login-token-problem")).to_contain_text("this token opens nothing")
     expect(page.locator("#message")).to_be_hidden()
-    expect(page.locator("#main")).to_be_hidden()
+    expect(page.locator("#view-arm")).to_be_hidden()
     page.close()
 
 
