@@ -104,12 +104,12 @@ const BUTTONS = { clear: "Clear the fault", release: "Release", "torque on": "To
 const pressed = (text) => text.replace(/(?:type )?`armctl (clear|release|torque on|park|stop)`/g, (_, name) => `press \u201c${BUTTONS[name]}\u201d`);
 let cards = "";
 
-// A card for every fault, the worst first.
+// A card for every fault, the worst first; one that follows from another is over with that.
 function showFaults(faults) {
   if (faults.length && $("fault").hidden) scrollTo(0, 0);  // where its card stands
   $("fault").hidden = !faults.length;
   const told = faults.map(({ code, servo_id, text, arm: doing, next, follows }) => [
-    `${code}${servo_id === null ? "" : `, servo ${servo_id}`}`, text ?? "", follows ? `It follows from ${follows}.` : "", `The arm: ${doing}`, `Next: ${pressed(next)}`,
+    `${code}${servo_id === null ? "" : `, servo ${servo_id}`}`, text ?? "", ...(follows ? [`It follows from ${follows}.`] : [`The arm: ${doing}`, `Next: ${pressed(next)}`]),
   ]);
   if (cards === (cards = JSON.stringify(told))) return;  // said aloud once
   $("faults").replaceChildren(...told.map(([title, ...lines]) => {
