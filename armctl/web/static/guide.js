@@ -148,6 +148,7 @@ async function toggleTake() {
     const name = freeName(valueOf($("take-name")));
     await post("/take/begin", { name });
     [guide.taking, covered] = [name, [1, 0]];
+    showNext();
   }
 }
 
