@@ -11,14 +11,7 @@ import math
 from functools import cached_property
 from typing import Annotated, Any, Literal, NamedTuple, Self
 
-from pydantic import (
-    Discriminator,
-    Field,
-    SerializerFunctionWrapHandler,
-    Tag,
-    model_serializer,
-    model_validator,
-)
+from pydantic import Discriminator, Field, Tag, model_validator
 
 from armctl.dynamixel import ax12a, servos
 from armctl.errors import ConfigError
@@ -33,6 +26,7 @@ from armctl.strict_yaml import NAME_PATTERN as NAME_PATTERN
 from armctl.strict_yaml import Degrees as Degrees
 from armctl.strict_yaml import Frozen as Frozen
 from armctl.strict_yaml import Name as Name
+from armctl.strict_yaml import is_none as is_none
 from armctl.strict_yaml import parse_yaml as parse_yaml
 from armctl.strict_yaml import validate as validate
 
@@ -58,7 +52,7 @@ class JointConfig(Frozen):
     # Its ID on the bus.
     servo_id: int = Field(ge=0, le=253)
     # Which servo it is: one of `ax-12a`, `ax-12w`, `ax-18a`.
-    model: str = servos.DEFAULT
+    model: str = Field(servos.DEFAULT, exclude_if=servos.DEFAULT.__eq__)
     # -1 where the servo is mounted the other way round.
     direction: Literal[1, -1] = 1
     # What the servo reads at joint position 0; `armctl calibrate` finds it.
@@ -76,7 +70,7 @@ class JointConfig(Frozen):
     # How stiffly the servo holds.
     compliance: Compliance = Compliance()
     # A second servo that turns this joint.
-    pair: PairConfig | None = None
+    pair: PairConfig | None = Field(None, exclude_if=is_none)
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -101,16 +95,6 @@ class JointConfig(Frozen):
             raise ValueError(f"{own}; give each servo an id of its own")
         return self
 
-    @model_serializer(mode="wrap")
-    def _told(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """An AX-12A is not told, nor that it is alone: logs and hashes of old arms stay as they are."""
-        told: dict[str, Any] = handler(self)
-        if self.model == servos.DEFAULT:
-            told.pop("model", None)
-        if self.pair is None:
-            told.pop("pair", None)
-        return told
-
     def tick(self, position_rad: float) -> float:
         """Servo position [tick, unrounded] of a joint position [rad]."""
         return self.zero_tick + self.direction * position_rad / ax12a.TICK_RAD
@@ -133,6 +117,11 @@ class JointConfig(Frozen):
     def linkage(self) -> Linkage | None:
         """How its two servos read against each other; None: it has one."""
         return None if self.pair is None else self.pair.linked(self.direction, self.zero_tick)
+
+    @property
+    def servo_count(self) -> int:
+        """How many servos turn it."""
+        return 1 if self.pair is None else 2
 
     @property
     def speed_limit_rad_s(self) -> float:
@@ -211,7 +200,7 @@ class ArmConfig(Frozen):
     correction: bool = True
     # Whether the servos go on with the speed ramp of the goal before; if not, each begins at the shaft. Left out: that
     # shows itself in a motion (RAMP_RESTARTS).
-    ramp_from_reference: bool | None = None
+    ramp_from_reference: bool | None = Field(None, exclude_if=is_none)
     # From the base to the tool.
     joints: tuple[JointConfig, ...] = Field(min_length=1, max_length=32, strict=False)
     # What `reach --grip` closes.
@@ -277,11 +266,6 @@ class ArmConfig(Frozen):
                 f"{behind_tick:.0f} ticks behind its goal then, at most {MAX_GRIP_TICK}; lower either of them"
             )
 
-    @model_serializer(mode="wrap")
-    def _told(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """What nobody has found out is not told: files and logs of old arms stay as they are."""
-        return {key: value for key, value in handler(self).items() if key != "ramp_from_reference" or value is not None}
-
     @property
     def robot_name(self) -> str:
         """What to call its kinematic model."""
@@ -308,6 +292,12 @@ class ArmConfig(Frozen):
     def pairs(self) -> tuple[tuple[int, int], ...]:
         """Places in `servos` of the two servos of every joint that has two."""
         return tuple((servo.of, index) for index, servo in enumerate(self.servos) if servo.linkage is not None)
+
+    @cached_property
+    def rigid_pairs(self) -> tuple[tuple[int, int], ...]:
+        """Those of `pairs` that turn one shaft; each servo of a gripper has a finger of its own."""
+        grips = self.gripper and self.gripper.joint
+        return tuple(pair for pair in self.pairs if self.joints[pair[0]].name != grips)
 
     @cached_property
     def joint_names(self) -> tuple[str, ...]:

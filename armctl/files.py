@@ -14,7 +14,6 @@ from armctl.errors import ConfigError
 
 if TYPE_CHECKING:
     from armctl.config import ArmConfig, Config
-    from armctl.strict_yaml import M
 
 
 def read_text(path: Path, what: str) -> str:
@@ -34,12 +33,6 @@ def read_text(path: Path, what: str) -> str:
 def _user_dir(variable: str, below_home: str) -> Path:
     """One of the user's XDG base folders."""
     return Path(os.environ.get(variable) or Path.home() / below_home)
-
-
-def _loaded(model: type[M], path: Path, what: str) -> M:
-    from armctl.config import parse_yaml, validate
-
-    return validate(model, parse_yaml(read_text(path, what), str(path)), str(path))
 
 
 def calibration_dirs() -> tuple[Path, ...]:
@@ -146,10 +139,11 @@ def _urdf_text(file: Path) -> str:
 
 def load_config(path: str | None = None) -> Config:
     """The daemon's configuration, of `config_file`; defaults where there is none."""
-    from armctl.config import Config
+    from armctl.config import Config, parse_yaml, validate
 
-    file = config_file(path)
-    return Config() if file is None else _loaded(Config, file, "configuration")
+    if (file := config_file(path)) is None:
+        return Config()
+    return validate(Config, parse_yaml(read_text(file, "configuration"), str(file)), str(file))
 
 
 def config_file(path: str | None = None) -> Path | None:

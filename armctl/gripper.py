@@ -3,11 +3,11 @@
 import math
 from typing import Any
 
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
+from pydantic import Field
 
 from armctl.dynamixel import ax12a
 from armctl.pair import PairConfig
-from armctl.strict_yaml import Degrees, Frozen, Name
+from armctl.strict_yaml import Degrees, Frozen, Name, is_none
 
 # 5.9 deg: nearer than what a joint may be behind its goal before it counts as blocked.
 MAX_GRIP_TICK = 20
@@ -61,9 +61,9 @@ class GripperConfig(Frozen):
     # The load that tells a grip, and that holds it: above friction, below what makes the servo hot.
     load_ratio: float = Field(0.3, ge=0.15, le=0.5)
     # How wide it is where it has let go.
-    open_mm: float | None = Field(None, ge=0.0, le=500.0)
+    open_mm: float | None = Field(None, ge=0.0, le=500.0, exclude_if=is_none)
     # And where it is closed.
-    closed_mm: float | None = Field(None, ge=0.0, le=500.0)
+    closed_mm: float | None = Field(None, ge=0.0, le=500.0, exclude_if=is_none)
 
     def opening_mm(self, position_rad: float) -> float | None:
         """How wide it is, if its file says how wide it opens and closes."""
@@ -71,8 +71,3 @@ class GripperConfig(Frozen):
             return None
         share = (math.degrees(position_rad) - self.open_deg) / (self.closed_deg - self.open_deg)
         return self.open_mm + share * (self.closed_mm - self.open_mm)
-
-    @model_serializer(mode="wrap")
-    def _told(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Sizes that nobody gave are not told: logs of old arms stay as they are."""
-        return {key: value for key, value in handler(self).items() if value is not None}

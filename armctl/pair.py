@@ -6,12 +6,12 @@ two stiff servos then push against each other for good. So a pair may have a mea
 """
 
 from bisect import bisect_right
-from typing import Annotated, Any, Literal, NamedTuple, Self
+from typing import Annotated, Literal, NamedTuple, Self
 
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+from pydantic import Field, model_validator
 
 from armctl.dynamixel.ax12a import TICK_MAX
-from armctl.strict_yaml import Frozen
+from armctl.strict_yaml import Frozen, is_none
 
 # Between two rows of a table the second servo turns by no less than this share of what the first one does, nor by more
 # than its inverse.
@@ -62,13 +62,13 @@ class PairConfig(Frozen):
     # Its ID on the bus.
     servo_id: int = Field(ge=0, le=253)
     # As of a joint; left out: it faces the first one.
-    direction: Literal[1, -1] | None = None
+    direction: Literal[1, -1] | None = Field(None, exclude_if=is_none)
     # What it reads at joint position 0; left out: 1023 less what the first one reads there, or the same if it faces the
     # same way.
-    zero_tick: float | None = Field(None, ge=-1023.0, le=2046.0)
+    zero_tick: float | None = Field(None, ge=-1023.0, le=2046.0, exclude_if=is_none)
     # Instead of both, measured by `armctl calibrate --pairs`: what the first servo reads, rising, and what this one
     # reads there.
-    table: tuple[Row, ...] | None = Field(None, min_length=2, max_length=64, strict=False)
+    table: tuple[Row, ...] | None = Field(None, min_length=2, max_length=64, strict=False, exclude_if=is_none)
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -93,11 +93,6 @@ class PairConfig(Frozen):
                 ways = f"by {abs(b_end - b):g} ticks where the first one turns by {a_end - a:g}"
                 raise ValueError(f"pair.table row {number}: the second servo turns {ways}, on one shaft; {again}")
         return self
-
-    @model_serializer(mode="wrap")
-    def _told(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """What is left out is not told."""
-        return {key: value for key, value in handler(self).items() if value is not None}
 
     def linked(self, direction: int, zero_tick: float) -> Linkage:
         """How it reads against the first servo, which has this direction and zero tick."""

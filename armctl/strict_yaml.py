@@ -29,6 +29,11 @@ class Frozen(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
 
+def is_none(value: object) -> bool:
+    """For `exclude_if` of a field: what is left out is not told, so logs and hashes of old arms stay as they are."""
+    return value is None
+
+
 class _StrictLoader(yaml.SafeLoader):
     """SafeLoader without aliases, tags, duplicate keys, depth and surprising scalars."""
 

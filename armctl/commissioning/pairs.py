@@ -27,8 +27,8 @@ def measured(arm: ArmConfig, opened: Opened, person: Person) -> ArmConfig:
         ConfigError: there is no pair, or what was measured is none.
         PortGone: the port vanished.
     """
-    told, grips = arm.model_dump(mode="json", exclude_unset=True), arm.gripper and arm.gripper.joint
-    pairs = [(arm.servos[a], arm.servos[b]) for a, b in arm.pairs if arm.servos[a].name != grips]  # a finger each
+    told = arm.model_dump(mode="json", exclude_unset=True)
+    pairs = [(arm.servos[a], arm.servos[b]) for a, b in arm.rigid_pairs]
     if not pairs:
         raise ConfigError(arm.arm_id, "pair", "no joint of this arm has two servos", "see `armctl help new-arm`")
     for first, second in pairs:

@@ -23,9 +23,11 @@ Torque goes off in one (`State.letting_go`): it is written until every servo is 
 fault is latched.
 """
 
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from importlib import resources
 from types import MappingProxyType
 
 from armctl.errors import IllegalTransition
@@ -169,19 +171,8 @@ LATCHED = frozenset(_SHOWN[Mode.FAULTED])
 # On the way to rest.
 TO_REST = frozenset(phase for phase, row in TRANSITIONS.items() if T.GIVE_UP in row)
 
-# Why something cannot be done now, and what to do first; `fault`: the code that is latched.
-ADVICE: dict[Mode, str] = {
-    Mode.STARTING: "not every servo has answered yet; see `armctl status`",
-    Mode.OFF: "the arm is limp; `armctl torque on` first",
-    Mode.ENERGISING: "torque is coming on; wait until it holds",
-    Mode.HOLDING: "the arm is holding under torque",
-    Mode.MOVING: "the arm is moving; `armctl stop` first",
-    Mode.JOGGING: "the arm is being jogged; end that first, or `armctl stop`",
-    Mode.PARKING: "the arm is on its way to rest; `armctl stop` first",
-    Mode.TEACHING: "the arm is limp for teaching; end the teaching first",
-    Mode.RELEASING: "torque is going off; wait until every servo is seen limp",
-    Mode.FAULTED: "a fault is latched ({fault}); see `armctl status`, then `armctl clear`",
-}
+# By mode, why something cannot be done now, and what to do first.
+ADVICE: Mapping[str, str] = tomllib.loads(resources.files(__package__).joinpath("advice.toml").read_text("utf-8"))
 
 
 # ------------------------------------------------------------------------------------------------- memory

@@ -53,18 +53,9 @@ def folded(each: Sequence[JointState], readings: Sequence[ServoReading], arm: Ar
     return tuple(joints)
 
 
-def _rigid(s: Tick) -> list[tuple[int, int]]:
-    """Pairs that turn one shaft."""
-    return [
-        (first, second)
-        for first, second in s.arm.pairs
-        if s.arm.gripper is None or s.wire[first].name != s.arm.gripper.joint
-    ]
-
-
 def detect_mismatch(s: Tick) -> None:
     """Latch the pairs whose servos do not agree, and have none of them pull at the other."""
-    pairs, now_ns, found = _rigid(s), s.inputs.now_ns, []
+    pairs, now_ns, found = s.arm.rigid_pairs, s.inputs.now_ns, []
     before = s.state.pair_since_ns or (0,) * len(pairs)
     for since_ns, (first, second) in zip(before, pairs, strict=True):
         if not (s.heard(first) and s.heard(second)):
@@ -101,6 +92,6 @@ def _against(s: Tick, first: int, second: int) -> float:
 
 def mismatches(s: Tick) -> Iterator[str]:
     """Joints whose servos read apart just now, and by how much."""
-    for first, second in _rigid(s):
+    for first, second in s.arm.rigid_pairs:
         if (apart := apart_ticks(s, first, second)) > APART_TICKS:
             yield f"the servos of {s.wire[first].name} read {apart:.0f} ticks apart (bound {APART_TICKS:g})"

@@ -150,7 +150,7 @@ def keep_here(s: Tick, index: int) -> None:
 
 def explained_ratio(s: Tick) -> list[tuple[float, float]]:
     """Lowest and highest output of every joint that gravity, a grip or a weight found before explains."""
-    borne, servos = s.state.borne_ratio or (0.0,) * len(s.joints), servos_of(s)
+    borne, servos = s.state.borne_ratio or (0.0,) * len(s.joints), [joint.servo_count for joint in s.arm.joints]
     gripper = s.arm.gripper.joint if s.arm.gripper else ""
     found = []
     rows = zip(s.arm.joints, s.joints, _holding_Nm(s, servos), borne, servos, strict=True)
@@ -160,14 +160,6 @@ def explained_ratio(s: Tick) -> list[tuple[float, float]]:
         low, high = low_Nm / strength_Nm - grip, high_Nm / strength_Nm + grip
         found.append((low + min(weight, 0.0), high + max(weight, 0.0)))
     return found
-
-
-def servos_of(s: Tick) -> list[int]:
-    """How many servos turn each joint."""
-    count = [1] * len(s.joints)
-    for first, _ in s.arm.pairs:
-        count[first] += 1
-    return count
 
 
 def _holding_Nm(s: Tick, servos: Sequence[int]) -> list[tuple[float, float]]:

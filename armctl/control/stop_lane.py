@@ -101,9 +101,7 @@ class StopLane:
 
     def _take_in(self, connection: socket.socket) -> _Caller:
         connection.setblocking(False)
-        pid, uid, _ = _CREDENTIALS.unpack(
-            connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
-        )
+        pid, uid = credentials(connection)
         same = [caller for caller in self._callers if caller.uid == uid]
         if len(same) >= PLACES:
             self._close(next((caller for caller in same if not caller.asked), same[0]))
@@ -139,3 +137,9 @@ class StopLane:
     def _close(self, caller: _Caller) -> None:
         self._callers.remove(caller)
         caller.socket.close()
+
+
+def credentials(peer: socket.socket) -> tuple[int, int]:
+    """Process and user at the other end."""
+    pid, uid, _ = _CREDENTIALS.unpack(peer.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size))
+    return pid, uid

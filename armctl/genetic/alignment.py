@@ -27,6 +27,7 @@ from armctl.errors import RequestRefused, UnreachableTarget
 from armctl.kinematics.chain import SerialChain, tool_position
 from armctl.kinematics.inverse import solve_position
 from armctl.kinematics.transform import FloatArray, IntArray
+from armctl.trajectory.interpolate import columns_at
 from armctl.trajectory.line_path import out_of_reach, point_text
 from armctl.trajectory.straightness import distance_to_line, progress_along_line
 
@@ -147,7 +148,7 @@ def _along_line(
         end[: chain.n] = solve_position(chain, target, end[: chain.n], limits[: chain.n])
     q = np.concatenate([ends[:1], q[kept], ends[1:]])
     p = np.concatenate([[0.0], p[kept], [1.0]])
-    return np.stack([np.interp(stations, p, joint) for joint in q.T], axis=1)
+    return columns_at(stations, p, q)
 
 
 def _out_of_reach(arm: ArmConfig, chain: SerialChain, A: FloatArray, B: FloatArray) -> list[str]:

@@ -9,9 +9,10 @@ from armctl.host.host import Host
 from armctl.host.lease import Client
 from armctl.host.motions import move_result
 from armctl.host.watch import Done, Leg
+from armctl.kinematics.transform import FloatArray
 from armctl.messages import JointTrajectory
 from armctl.trajectory import grasp
-from armctl.trajectory.grasp import Grasp, GripRequest, ReachRequest
+from armctl.trajectory.grasp import GripRequest, ReachRequest
 
 # The leg after which the tool is at the point.
 _THERE = 1
@@ -25,7 +26,7 @@ async def reach(host: Host, client: Client, request: ReachRequest) -> dict[str, 
             there are), BUSY, stopped or failed on the way.
         LogError: the recording cannot be made.
     """
-    planned: list[Grasp] = []
+    planned: list[FloatArray] = []
     legs = _legs(host, request, planned)
     name, done = await host.execute(client, "reach", legs, {"event": "REACH", **request.model_dump(exclude_none=True)})
     result: dict[str, Any] = {
@@ -69,7 +70,7 @@ def gripped(host: Host, done: Sequence[Done]) -> bool:
     return any(leg.reply.code == "GRIPPED" for leg in done) and host.holds()
 
 
-def _legs(host: Host, request: ReachRequest, planned: list[Grasp]) -> list[Leg]:
+def _legs(host: Host, request: ReachRequest, planned: list[FloatArray]) -> list[Leg]:
     """The legs of one reach; the first plans the way, before anything moves, and puts it into `planned`."""
     where = host.arm, host.robot, host.period_s
 
@@ -83,7 +84,7 @@ def _legs(host: Host, request: ReachRequest, planned: list[Grasp]) -> list[Leg]:
         return grasp.approach(planned[0], q_now, *where, opening=request.gripper == "grip")
 
     def straight(step: int) -> Leg:
-        return lambda q_now: grasp.straight(planned[0].path_rad[::step], q_now, *where)
+        return lambda q_now: grasp.straight(planned[0][::step], q_now, *where)
 
     def act(q_now: Sequence[float]) -> JointTrajectory:
         return grasp.gripping(q_now, *where, closing=request.gripper == "grip")

@@ -18,7 +18,6 @@ import contextlib
 import logging
 import math
 import socket
-import struct
 from collections import deque
 from collections.abc import Awaitable, Callable, Mapping
 from contextvars import ContextVar
@@ -29,6 +28,7 @@ from pydantic import BaseModel
 
 from armctl.clock import NS_PER_S, Clock
 from armctl.config import validate
+from armctl.control.stop_lane import credentials
 from armctl.errors import ArmctlError, ConfigError, RequestRefused
 from armctl.host import allowance, jsonrpc
 from armctl.host.allowance import Account, User, make_room
@@ -60,7 +60,7 @@ class Connection:
     def __init__(
         self, writer: asyncio.StreamWriter, may_command: MayCommand, holds_lease: Callable[["Connection"], bool]
     ) -> None:
-        pid, self.uid = _credentials(writer.get_extra_info("socket"))
+        pid, self.uid = credentials(writer.get_extra_info("socket"))
         self.name = f"pid {pid} (uid {self.uid})"
         self.commands = may_command(self.uid)
         self.asked = False
@@ -158,12 +158,6 @@ class Connection:
         return None
 
 
-def _credentials(peer: socket.socket) -> tuple[int, int]:
-    """Process and user at the other end."""
-    pid, uid, _ = struct.unpack("3i", peer.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))
-    return pid, uid
-
-
 @dataclass(frozen=True)
 class Method:
     """One thing a client can ask for: its parameters, and what carries it out."""
@@ -218,7 +212,7 @@ class Server:
                 asyncio.get_running_loop().call_later(AGAIN_S, self._listen)
                 return
             now_s = self._now_s()
-            _, uid = _credentials(peer)
+            _, uid = credentials(peer)
             user = self._users.setdefault(uid, User(now_s))
             if not user.comings.take(now_s):
                 with contextlib.suppress(OSError):

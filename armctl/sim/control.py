@@ -53,6 +53,8 @@ from armctl.sim.hand import Guided
 TRUTH_S = 1200
 TRUTH_PERIOD_NS = 10_000_000
 PIECE_SAMPLES = 100
+# Longest wait of a client for an answer.
+ANSWER_S = 10.0
 
 Params = dict[str, Any]
 # A monotonic instant [ns], and the true joint positions [rad] of then, shape (n,).
@@ -243,7 +245,7 @@ def _point(params: Params, key: str) -> FloatArray:
 class SimulatorClient:
     """A synchronous client of a simulator's control socket."""
 
-    def __init__(self, path: Path | str, *, timeout_s: float = 10.0) -> None:
+    def __init__(self, path: Path | str) -> None:
         """Connect to the control socket at `path` (see `control_path`).
 
         Raises:
@@ -251,7 +253,7 @@ class SimulatorClient:
         """
         self._path = str(path)
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        self._socket.settimeout(timeout_s)
+        self._socket.settimeout(ANSWER_S)
         try:
             self._socket.connect(self._path)
         except OSError as error:

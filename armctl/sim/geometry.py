@@ -40,13 +40,6 @@ class Geometry:
 
 
 PERFECT = Geometry()
-# docs/simulator.md says how far off each puts the tool.
-GEOMETRIES = {
-    "perfect": PERFECT,
-    "careful": Geometry(0.3, 0.0003, 0.3, 0.3, 0.3, 0.2),
-    "typical": Geometry(0.8, 0.0008, 0.8, 0.5, 0.8, 0.4),
-    "poor": Geometry(1.5, 0.0015, 1.5, 0.9, 1.5, 0.8),
-}
 
 
 @dataclass(slots=True, eq=False)

@@ -93,8 +93,11 @@ class Joint:
     aim_rad_s: float = 0.0
     # Of the link from the shaft; None: the link is where the sensor shows the shaft.
     deviation: Deviation | None = None
+    # What turns the shaft: this one, and the second servo of a pair.
+    motors: tuple["Joint", ...] = field(init=False)
 
     def __post_init__(self) -> None:
+        self.motors = (self,)
         self.motor_rad = self.servo.shaft_rad
         self.drive, self.writes = self.servo.drive, self.servo.writes
 
@@ -155,29 +158,34 @@ class Joint:
             until_step: The step to come to.
             aim_step: The step to which the hand's aim belongs; None: no hand pulls.
         """
-        changes = bool(self.late)
-        while self.late and self.late[0][0] <= until_step:
-            step, drive, restarts = self.late.popleft()
+        changes = any(motor.late for motor in self.motors)
+        while due := [motor for motor in self.motors if motor.late and motor.late[0][0] <= until_step]:
+            motor = min(due, key=lambda it: it.late[0][0])
+            step, drive, restarts = motor.late.popleft()
             self._advance(step, aim_step)
-            self._follow(drive, restarts)
+            motor._follow(drive, restarts)
         return self._advance(until_step, aim_step) or changes
 
     def _advance(self, until_step: int, aim_step: int | None) -> bool:
-        """The same with one drive."""
+        """The same with one drive of each motor."""
         count = until_step - self.step
         if count <= 0:
             return False
-        servo = self.servo
-        if servo.reference_tick != self.reference_tick:
-            self.ramp, self.ramp_steps = self.drive.ramp(servo.reference_tick, STEP_S), 0
-        ramping, shaft_rad, velocity_rad_s = self.ramp_steps < self.ramp.arrival, servo.shaft_rad, servo.velocity_rad_s
-        self._follow_ramp(count, None if aim_step is None else self.step - aim_step)
-        self.step = until_step
-        waiting = self._check_alarms(count)
+        servo, ramping = self.servo, False
+        for motor in self.motors:
+            if motor.servo.reference_tick != motor.reference_tick:
+                motor.ramp, motor.ramp_steps = motor.drive.ramp(motor.servo.reference_tick, STEP_S), 0
+            ramping |= motor.ramp_steps < motor.ramp.arrival
+        shaft_rad, velocity_rad_s = servo.shaft_rad, servo.velocity_rad_s
+        self._follow_ramps(count, None if aim_step is None else self.step - aim_step)
+        for motor in self.motors:
+            motor.step, motor.ramp_steps = until_step, motor.ramp_steps + count
+            motor.reference_tick = motor.servo.reference_tick = motor.ramp.at(motor.ramp_steps)
+        waiting = [motor._check_alarms(count) for motor in self.motors]
         moved = servo.velocity_rad_s != 0.0 or velocity_rad_s != 0.0 or servo.shaft_rad != shaft_rad
-        return ramping or moved or waiting
+        return ramping or moved or any(waiting)
 
-    def _follow_ramp(self, count: int, aim_age: int | None) -> None:
+    def _follow_ramps(self, count: int, aim_age: int | None) -> None:
         """Let the reference go on, and integrate from each of its whole ticks to the next."""
         ramp, step = self.ramp, self.ramp_steps
         end = step + count
@@ -188,8 +196,6 @@ class Joint:
             if aim_age is not None:
                 aim_age += last - step
             step = last
-        self.ramp_steps = end
-        self.reference_tick = self.servo.reference_tick = ramp.at(end)
 
     def _integrate(self, reference_tick: int, count: int, aim_age: int | None) -> None:
         """Integrate `count` steps with one reference.

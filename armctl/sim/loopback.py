@@ -20,12 +20,12 @@ class LoopbackPort(ServoPort):
 
     clock: VirtualClock
 
-    def __init__(self, bus: SimulatedBus, clock: VirtualClock, baud: int = 1_000_000) -> None:
+    def __init__(self, bus: SimulatedBus, clock: VirtualClock) -> None:
         self._bus = bus
         self._plugged = True
         # How often the adapter had been pulled out when the port was opened.
         self._unplugs = 0
-        super().__init__("loopback", baud, clock)
+        super().__init__("loopback", 1_000_000, clock)
 
     def unplug(self) -> None:
         """From now on every use of the port raises `PortGone`, and opening it `PortMissing`."""

@@ -12,7 +12,7 @@ from typing import Any
 
 from armctl.dynamixel.ax12a import TICK_RAD
 from armctl.pair import Linkage
-from armctl.sim.joint import STEP_S, Joint
+from armctl.sim.joint import Joint
 
 
 @dataclass(slots=True, eq=False)
@@ -51,46 +51,25 @@ class FirstServo(Joint):
 
     second: SecondServo = field(kw_only=True)
 
-    def advance(self, until_step: int, aim_step: int | None) -> bool:
-        changes = False
-        while due := [it for it in (self, self.second) if it.late and it.late[0][0] <= until_step]:
-            servo = min(due, key=lambda it: it.late[0][0])
-            step, drive, restarts = servo.late.popleft()
-            self._advance(step, aim_step)
-            changes = not servo._follow(drive, restarts) or changes
-        return self._advance(until_step, aim_step) or changes or bool(self.late or self.second.late)
-
-    def _advance(self, until_step: int, aim_step: int | None) -> bool:
-        count, both, servo = until_step - self.step, (self, self.second), self.servo
-        if count <= 0:
-            return False
-        for it in both:
-            if it.servo.reference_tick != it.reference_tick:
-                it.ramp, it.ramp_steps = it.drive.ramp(it.servo.reference_tick, STEP_S), 0
-        ramping = any(it.ramp_steps < it.ramp.arrival for it in both)
-        shaft_rad, velocity_rad_s, weight_Nm = servo.shaft_rad, servo.velocity_rad_s, self.gravity_Nm
+    def _follow_ramps(self, count: int, aim_age: int | None) -> None:
+        """Let both references go on, step by step."""
+        weight_Nm = self.gravity_Nm
         if self.second.blocked_rad is not None:
-            self.blocked_rad = servo.shaft_rad
+            self.blocked_rad = self.servo.shaft_rad
         for k in range(count):
             self.second.follow()
-            first_tick, second_tick = [math.floor(it.ramp.at(it.ramp_steps + k + 1) + 0.5) for it in both]
+            first_tick, second_tick = [math.floor(it.ramp.at(it.ramp_steps + k + 1) + 0.5) for it in self.motors]
             self.gravity_Nm = weight_Nm + self.second.pull_Nm(second_tick)
-            self._integrate(first_tick, 1, None if aim_step is None else self.step - aim_step + k)
+            self._integrate(first_tick, 1, None if aim_age is None else aim_age + k)
         self.gravity_Nm = weight_Nm
         self.second.follow()
-        for it in both:
-            it.step, it.ramp_steps = until_step, it.ramp_steps + count
-            it.reference_tick = it.servo.reference_tick = it.ramp.at(it.ramp_steps)
-        waiting = [it._check_alarms(count) for it in both]
-        moved = servo.velocity_rad_s != 0.0 or velocity_rad_s != 0.0 or servo.shaft_rad != shaft_rad
-        return ramping or moved or any(waiting)
 
 
 def paired(first: Joint, second: Joint, linkage: Linkage, offset_tick: float) -> tuple[FirstServo, SecondServo]:
     """Two joints as the two servos of the first one's, in the pose that this one has."""
     follower = SecondServo(**_parts(second), linkage=linkage, offset_tick=offset_tick)
     leader = FirstServo(**_parts(first), second=follower)
-    follower.first = leader
+    follower.first, leader.motors = leader, (leader, follower)
     leader.coulomb_Nm += second.coulomb_Nm
     leader.stiction_Nm += second.stiction_Nm
     follower.follow()

@@ -1,13 +1,17 @@
-"""What a simulated arm is made of: every physical number, in one place.
+"""What a simulated arm is made of: every physical number, and from `arms.yaml` how arms differ.
 
 docs/simulator.md says of each figure whether it is ROBOTIS', a study's or a guess, and what is not modelled.
 """
 
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
+from pydantic import TypeAdapter
+
+from armctl.config import parse_yaml
 from armctl.dynamixel import ax12a
-from armctl.sim.geometry import GEOMETRIES, PERFECT, Geometry
+from armctl.sim.geometry import PERFECT, Geometry
 from armctl.sim.servo import ServoVariants
 
 
@@ -96,30 +100,14 @@ DEFAULT_SPEC = ArmSpec()
 # Arms as different as one batch of servos and one pair of hands may make them: for experiments over many seeds.
 RANDOM_SPEC = replace(DEFAULT_SPEC, mass_spread=0.15, stall_spread=0.2, zero_offset_within_tick=0.5)
 
-# What is published of these servos, and what is guessed on top, as far as the default has none of it: every figure's
-# whole range.
-_PUBLISHED: dict[str, Any] = {
-    "load_friction": (0.0, 0.15),
-    "friction_per_degC": 0.004,
-    "stiction_spread": 0.15,
-    "dead_time_s": (0.0174, 0.0502),
-    "slope_share": (0.6, 1.0),
-    "no_load_spread": 0.1,
-    "cable_ohm": 0.03,
-    "firmware_takes_time": True,
-}
+_TABLE = Path(__file__).with_name("arms.yaml")
+_TOLD = parse_yaml(_TABLE.read_text(encoding="utf-8"), str(_TABLE))
+# How well an arm is put together.
+GEOMETRIES = TypeAdapter(dict[str, Geometry]).validate_python(_TOLD["geometries"])
+_SIZES: TypeAdapter[dict[str, Any]] = TypeAdapter(dict[str, bool | float | tuple[float, float]])
+_PUBLISHED = _SIZES.validate_python(_TOLD["published"])
 # How a servo's age changes an arm: `new` is the arm as it was given.
-AGES: dict[str, dict[str, Any]] = {
-    "new": {},
-    "worn": _PUBLISHED
-    | {
-        "friction_Nm": (0.10, 0.24),
-        "stiction_ratio": 1.4,
-        "play_deg": (0.5, 1.5),
-        "noise_tick": 1.25,
-        "noise_spread": 0.6,
-    },
-}
+AGES: dict[str, dict[str, Any]] = {"new": {}, "worn": _PUBLISHED | _SIZES.validate_python(_TOLD["worn"])}
 # New servos with all that is published of them: with "worn" ones, the range that identification has to stand.
 RANGE_SPEC = replace(RANDOM_SPEC, **_PUBLISHED)
 

@@ -10,7 +10,7 @@ Rules.
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal, Self
 
 import numpy as np
@@ -28,7 +28,7 @@ from armctl.messages import Grip, JointTrajectory
 from armctl.trajectory.approach import approach_trajectory
 from armctl.trajectory.bounds import Direction, Point
 from armctl.trajectory.interpolate import PEAK_SPEED, QUINTIC_PEAK_SPEED, joint_path, rest_to_rest, time_law
-from armctl.trajectory.preflight import peak_rates, preflight_motion
+from armctl.trajectory.preflight import preflight_motion, times_too_fast
 from armctl.trajectory.target import MOST_POSTURES, SAME_RAD, aimed, postures_at, way_by
 
 Method = Literal["closed", "numeric", "ga", "ga-improved"]
@@ -79,20 +79,15 @@ class GripRequest(Frozen):
     grip: Literal["close", "open"] = "close"
 
 
-@dataclass(frozen=True, eq=False)
-class Grasp:
-    """The straight line to a point."""
-
-    point_m: FloatArray
-    # Joint positions of the chain [rad], shape (PLACES, n): from off the point to the point.
-    path_rad: FloatArray
-
-
-def plan_grasp(request: ReachRequest, q_now: Sequence[float], arm: ArmConfig, robot: Robot, period_s: float) -> Grasp:
-    """The way to a point, checked as far as it is known before the arm moves.
+def plan_grasp(
+    request: ReachRequest, q_now: Sequence[float], arm: ArmConfig, robot: Robot, period_s: float
+) -> FloatArray:
+    """The straight line to a point, checked as far as it is known before the arm moves.
 
     Args:
         q_now: Where the joints are commanded to be [rad], shape (joints,).
+    Returns:
+        Joint positions of the chain [rad], shape (PLACES, n): from off the point to the point.
     Raises:
         UnreachableTarget: no pose within the limits reaches the point; carries the nearest distance.
         RequestRefused: the point can be reached, but the way there must not be gone: code PREFLIGHT, every reason
@@ -102,25 +97,31 @@ def plan_grasp(request: ReachRequest, q_now: Sequence[float], arm: ArmConfig, ro
     if point[2] < arm.floor_m:
         raise RequestRefused("PREFLIGHT", f"the point is {point[2]:.3f} m high, below the floor at {arm.floor_m:.3f} m")
 
-    def way(q: Sequence[float]) -> Grasp:
-        grasp = Grasp(point, _straight(np.asarray(q), point, arm, robot, request.off_m, request.along))
-        there = approach(grasp, q_now, arm, robot, period_s)
-        straight(grasp.path_rad, there.positions_rad[-1], arm, robot, period_s)
-        return grasp
+    def way(q: Sequence[float]) -> FloatArray:
+        path_rad = _straight(np.asarray(q), point, arm, robot, request.off_m, request.along)
+        there = approach(path_rad, q_now, arm, robot, period_s)
+        straight(path_rad, there.positions_rad[-1], arm, robot, period_s)
+        return path_rad
 
     postures = _solutions(request, q_now, arm, robot)
     return way_by((q.tolist() for q in postures), way, request.posture)
 
 
 def approach(
-    grasp: Grasp, q_now: Sequence[float], arm: ArmConfig, robot: Robot, period_s: float, *, opening: bool = False
+    path_rad: FloatArray,
+    q_now: Sequence[float],
+    arm: ArmConfig,
+    robot: Robot,
+    period_s: float,
+    *,
+    opening: bool = False,
 ) -> JointTrajectory:
     """The slow motion to the beginning of the straight line, the gripper opening on the way or staying as it is.
 
     Raises:
         RequestRefused: code PREFLIGHT.
     """
-    there = [*grasp.path_rad[0].tolist(), *q_now[robot.chain.n :]]
+    there = [*path_rad[0].tolist(), *q_now[robot.chain.n :]]
     if opening:
         index, gripper = gripper_of(arm, robot)
         there[index] = math.radians(gripper.open_deg)
@@ -148,13 +149,7 @@ def straight(
         place = rest_to_rest(np.zeros(1), np.ones(1), np.arange(count + 1) / count)[:, 0]
         return np.asarray(np.clip(joint_path(path_rad, knots, place, "cubic"), low, high))
 
-    speed, acceleration = peak_rates(rows(LOOKS), duration_s / LOOKS)
-    joints = arm.joints[:n]
-    slower = max(
-        1.0,
-        float((speed / [joint.speed_limit_rad_s for joint in joints]).max()),
-        math.sqrt(float((acceleration / [joint.acceleration_limit_rad_s2 for joint in joints]).max())),
-    )
+    slower = max(1.0, times_too_fast(rows(LOOKS), duration_s / LOOKS, arm.joints[:n]))
     chain = rows(max(1, math.ceil(duration_s * slower / period_s)))
     others = np.tile(np.asarray(q_now[n:]), (len(chain), 1))
     positions = np.concatenate((chain, others), axis=1)

@@ -72,13 +72,15 @@ def directions(q: FloatArray, before: FloatArray) -> FloatArray:
     Returns:
         h, shape (m, n).
     """
-    h = np.zeros_like(q)
-    last = [side_after(0.0, float(way)) for way in before]
-    h[0] = last
-    for i, step in enumerate(np.diff(q, axis=0), start=1):
-        last = [side_after(side, float(way)) for side, way in zip(last, step, strict=True)]
-        h[i] = last
-    return h
+    return sides(q, [side_after(0.0, float(way)) for way in before])
+
+
+def sides(q: FloatArray, side: Sequence[float]) -> FloatArray:
+    """The same of a motion at the begin of which it pushes on these sides, shape (n,)."""
+    h = [side]
+    for step in np.diff(q, axis=0).tolist():
+        h.append([side_after(last, way) for last, way in zip(h[-1], step, strict=True)])
+    return np.array(h)
 
 
 def regressors(chain: SerialChain, q: FloatArray, before: FloatArray, period_s: float) -> FloatArray:
@@ -112,7 +114,7 @@ def nominal(arm: ArmConfig, chain: SerialChain) -> LagModel:
     """
     n = chain.n
     # Servos sit on the axes, those beyond the chain halfway along its last link.
-    servos = [1 if joint.pair is None else 2 for joint in arm.joints]
+    servos = [joint.servo_count for joint in arm.joints]
     further_kg = SERVO_KG * sum(servos[n:])
     carried = [SERVO_KG * sum(servos[i + 1 : n]) + further_kg + TOOL_KG for i in range(n)]
     carried[-1] -= further_kg / 2.0
@@ -169,9 +171,21 @@ def summary(lags: FloatArray, X: FloatArray, known: NDArray[np.bool_] | None = N
     )
 
 
+def total(motions: Sequence[Summary]) -> Summary:
+    """The sums over all of some motions."""
+    return sum(motions[1:], motions[0])
+
+
+def model_of(arm: ArmConfig, rows: FloatArray, motions: Sequence[Summary]) -> LagModel:
+    """The model with these coefficients, shape (n, n + 3), and what it leaves of the motions it is from."""
+    residual = total(motions).rms_rad(rows) / TICK_RAD
+    found = tuple(map(tuple, rows.tolist()))
+    return LagModel(arm.arm_id, arm.calibration_hash, found, tuple(residual.tolist()), len(motions))
+
+
 def fitted(arm: ArmConfig, chain: SerialChain, motions: Sequence[Summary]) -> LagModel:
     """The model that explains motions best: least squares, with a weak ridge penalty towards the nominal model."""
-    whole, n = sum(motions[1:], motions[0]), chain.n
+    whole, n = total(motions), chain.n
     prior = np.array(nominal(arm, chain).rows)
     coefficients = np.empty((n, n + 3))
     for i in range(n):
@@ -180,9 +194,7 @@ def fitted(arm: ArmConfig, chain: SerialChain, motions: Sequence[Summary]) -> La
         normal = scale[:, None] * whole.XX[i] * scale + TICK_RAD**2 * np.eye(n + 3)
         pull = scale * (whole.Xy[i] - whole.XX[i] @ prior[i])
         coefficients[i] = prior[i] + scale * np.linalg.solve(normal, pull)
-    found = tuple(map(tuple, coefficients.tolist()))
-    residual = whole.rms_rad(coefficients) / TICK_RAD
-    return LagModel(arm.arm_id, arm.calibration_hash, found, tuple(residual.tolist()), len(motions))
+    return model_of(arm, coefficients, motions)
 
 
 def predict(model: LagModel, X: FloatArray) -> FloatArray:

@@ -25,7 +25,7 @@ from armctl.kinematics.transform import FloatArray
 from armctl.messages import LagModel
 from armctl.trajectory import lag
 from armctl.trajectory.interpolate import columns_at
-from armctl.trajectory.lag import Summary, side_after
+from armctl.trajectory.lag import Summary
 
 # Motions that are kept, and without which nothing is judged.
 KEPT, FEWEST = 40, 5
@@ -74,16 +74,9 @@ def sums_of(chain: SerialChain, seen: Seen, before: Stand | None, period_s: floa
         before: How the motion before left them.
     """
     n, wanted, due_s = chain.n, seen.wanted_rad, seen.due_s
-    side = [0.0] * n
-    if before is not None and float(np.abs(wanted[0] - before.at_rad).max()) < TICK_RAD:
-        side = list(before.side)
-    steps = np.diff(wanted, axis=0)
-    h = np.empty_like(wanted)
-    h[0] = side
-    for k, step in enumerate(steps.tolist(), start=1):
-        side = [side_after(old, way) for old, way in zip(side, step, strict=True)]
-        h[k] = side
-    going = np.flatnonzero(steps.any(axis=1))
+    stood = before is not None and float(np.abs(wanted[0] - before.at_rad).max()) < TICK_RAD
+    h = lag.sides(wanted, before.side if before is not None and stood else (0.0,) * n)
+    going = np.flatnonzero(np.diff(wanted, axis=0).any(axis=1))
     end = int(going[-1]) + 1 if len(going) else 0
     X = lag.regressors(chain, wanted, np.zeros(n), period_s)
     X[:, :, n] = h.T
@@ -95,6 +88,7 @@ def sums_of(chain: SerialChain, seen: Seen, before: Stand | None, period_s: floa
         y[:, i], at[i] = then[:, 0] - seen.positions_rad[:, i], then[:, 1:]
     within = (seen.read_s >= due_s[0]) & (seen.read_s <= due_s[end])
     known = seen.fresh & within & (np.abs(at[:, :, n]).T >= KNOWN_SIDE)
+    side = h[-1].tolist()
     for changes in np.diff(seen.goals_rad[end:], axis=0).tolist():
         side = [old if change == 0.0 else math.copysign(1.0, change) for old, change in zip(side, changes, strict=True)]
     return lag.summary(y, at, known), Stand(tuple(wanted[-1].tolist()), tuple(side))
@@ -157,18 +151,11 @@ def better(arm: ArmConfig, chain: SerialChain, motions: Sequence[Summary], prese
     if len(motions) < FEWEST:
         return None
     held = max(HELD, round(HELD_SHARE * len(motions)))
-    newest = _total(motions[-held:])
+    newest = lag.total(motions[-held:])
     in_use = np.array(present.rows)
     trial = np.array(lag.fitted(arm, chain, motions[:-held]).rows)
     wins = (newest.squares(trial) < BETTER**2 * newest.squares(in_use)) & (newest.count >= SAMPLES)
     if not wins.any():
         return None
     rows = np.where(wins[:, None], np.array(lag.fitted(arm, chain, motions).rows), in_use)
-    residual = _total(motions).rms_rad(rows) / TICK_RAD
-    return LagModel(
-        arm.arm_id, arm.calibration_hash, tuple(map(tuple, rows.tolist())), tuple(residual.tolist()), len(motions)
-    )
-
-
-def _total(motions: Sequence[Summary]) -> Summary:
-    return sum(motions[1:], motions[0])
+    return lag.model_of(arm, rows, motions)

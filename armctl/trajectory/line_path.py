@@ -78,12 +78,7 @@ def line_paths(
     ways = ways[exact]
     if not len(ways):
         raise RequestRefused("LINE", _out_of_reach(chain, limits, A, B, arm.floor_m, rng))
-    low = link_frames(chain, ways)[..., 1:, 2, 3].min(axis=(1, 2)) >= arm.floor_m + FLOOR_MARGIN_M
-    if not low.any():
-        raise RequestRefused(
-            "LINE", f"every way along the line leads a link below the floor at {arm.floor_m:.3f} m; raise the line"
-        )
-    ways = ways[low]
+    ways = above_floor(chain, ways, arm, "line")
     speed_limits = np.array([joint.speed_limit_rad_s for joint in arm.joints[: chain.n]])
     speeds = np.abs(np.diff(ways, axis=1)).max(axis=1) * (STATIONS - 1) * PEAK_SPEED / duration_s
     load = (speeds / (SPEED_SHARE * speed_limits)).max(axis=1)
@@ -93,6 +88,19 @@ def line_paths(
         raise RequestRefused("LINE", f"no way along the line is slow enough in {duration_s:g} s; {enough}")
     ways = ways[load <= 1.0]
     return np.asarray(ways[np.argsort(sensitivity_m(chain, ways, A, B), kind="stable")[:most]])
+
+
+def above_floor(chain: SerialChain, ways: FloatArray, arm: ArmConfig, what: str) -> FloatArray:
+    """Those of some ways [rad], shape (ways, m, n), that lead no link below the floor.
+
+    Raises:
+        RequestRefused: code LINE or PATH, whichever the ways lead along: there is none.
+    """
+    high = link_frames(chain, ways)[..., 1:, 2, 3].min(axis=(1, 2)) >= arm.floor_m + FLOOR_MARGIN_M
+    if not high.any():
+        text = f"every way along the {what} leads a link below the floor at {arm.floor_m:.3f} m; raise the {what}"
+        raise RequestRefused(what.upper(), text)
+    return np.asarray(ways[high])
 
 
 def check_line(A: FloatArray, B: FloatArray, duration_s: float) -> None:

@@ -18,16 +18,16 @@ import numpy as np
 
 from armctl.config import ArmConfig
 from armctl.errors import RequestRefused
-from armctl.kinematics.chain import jacobian, link_frames
+from armctl.kinematics.chain import jacobian
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import LONGEST_S, JointTrajectory
 from armctl.trajectory.interpolate import PEAK_SPEED, columns_at, joint_path, time_law
 from armctl.trajectory.line_path import (
-    FLOOR_MARGIN_M,
     MARGIN_RAD,
     REACHED_M,
     SPEED_SHARE,
+    above_floor,
     near_point,
     onto,
     out_of_reach,
@@ -137,13 +137,7 @@ def joint_ways(outline: Outline, q_now: Sequence[float], arm: ArmConfig, robot: 
             gone = f"the point {point_text(point)} m, {stations[index] * 1e3:.0f} mm along the path,"
             raise RequestRefused("PATH", f"{gone} {why}")
         followed.append(q)
-    ways = np.stack(followed, axis=1)[alive]
-    low = link_frames(chain, ways)[..., 1:, 2, 3].min(axis=(1, 2)) >= arm.floor_m + FLOOR_MARGIN_M
-    if not low.any():
-        raise RequestRefused(
-            "PATH", f"every way along the path leads a link below the floor at {arm.floor_m:.3f} m; raise the path"
-        )
-    ways = ways[low]
+    ways = above_floor(chain, np.stack(followed, axis=1)[alive], arm, "path")
     along = np.gradient(points, axis=0)
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
     J = jacobian(chain, ways)[..., :3, :]

@@ -33,7 +33,7 @@ from armctl.messages import LONGEST_S, JointTrajectory
 from armctl.trajectory.bounds import Joints
 from armctl.trajectory.interpolate import columns_at
 from armctl.trajectory.plan import CHECK_PERIOD_S, led_in
-from armctl.trajectory.preflight import EDGE_TICKS, ROUNDING, peak_rates, peak_tool_speed, preflight_motion
+from armctl.trajectory.preflight import EDGE_TICKS, ROUNDING, peak_tool_speed, preflight_motion, times_too_fast
 from armctl.trajectory.reference import ReferencePath
 from armctl.trajectory.smoothing import local_cubics
 
@@ -211,14 +211,8 @@ class Playback:
         """How many times too fast it is: a number by which the rate has to be divided."""
         time_s = np.arange(0.0, self.duration_s + CHECK_PERIOD_S, CHECK_PERIOD_S)
         q = columns_at(self.taught_at(time_s), self.taught_s, kept)
-        speed, acceleration = peak_rates(q, CHECK_PERIOD_S)
         tool_m_s = peak_tool_speed(tool_position(self.robot.chain, q[:, : self.robot.chain.n]), CHECK_PERIOD_S)
-        joints = self.arm.joints
-        return max(
-            float((speed / [joint.speed_limit_rad_s for joint in joints]).max()),
-            math.sqrt(float((acceleration / [joint.acceleration_limit_rad_s2 for joint in joints]).max())),
-            tool_m_s / self.arm.tool_speed_limit_m_s,
-        )
+        return max(times_too_fast(q, CHECK_PERIOD_S, self.arm.joints), tool_m_s / self.arm.tool_speed_limit_m_s)
 
 
 def playback(motion: TaughtMotion, rate: float, arm: ArmConfig, robot: Robot) -> Playback:

@@ -83,6 +83,15 @@ def peak_rates(q: FloatArray, period_s: float) -> tuple[FloatArray, FloatArray]:
     return speed, np.abs(bend).max(axis=0) / (window * period_s) ** 2
 
 
+def times_too_fast(q: FloatArray, period_s: float, joints: Sequence[JointConfig]) -> float:
+    """How many times slower columns of joint positions, as in `peak_rates`, have to be for the joints' limits."""
+    speed, acceleration = peak_rates(q, period_s)
+    return max(
+        float((speed / [joint.speed_limit_rad_s for joint in joints]).max()),
+        math.sqrt(float((acceleration / [joint.acceleration_limit_rad_s2 for joint in joints]).max())),
+    )
+
+
 def peak_tool_speed(tool_m: FloatArray, period_s: float) -> float:
     """Greatest speed [m/s] of tool points [m] sampled every `period_s`, shape (m, 3), m >= 2."""
     return float(np.linalg.norm(np.diff(tool_m, axis=0), axis=1).max()) / period_s

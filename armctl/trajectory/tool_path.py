@@ -96,21 +96,16 @@ def path_from_text(text: str, file: str, **more: Any) -> PathRequest:
         if len(row) != len(header):
             raise ConfigError(file, f"row {number}", f"has {len(row)} cells, the header {len(header)}")
         cells = dict(zip(header, (cell.strip() for cell in row), strict=True))
-        try:
-            points.append(tuple(round(float(cells[name]), DECIMALS) for name in COLUMNS))
-        except ValueError:
-            wrong = next(cells[name] for name in COLUMNS if not _number(cells[name]))
-            raise ConfigError(file, f"row {number}", f"{wrong!r} is not a number") from None
+        points.append(tuple(round(_number(cells[name], file, number), DECIMALS) for name in COLUMNS))
         kinds.append(cells.get("kind") or "line")
     return validate(PathRequest, {"points_m": tuple(points), "kinds": tuple(kinds), **more}, file)
 
 
-def _number(text: str) -> bool:
+def _number(text: str, file: str, row: int) -> float:
     try:
-        float(text)
+        return float(text)
     except ValueError:
-        return False
-    return True
+        raise ConfigError(file, f"row {row}", f"{text!r} is not a number") from None
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,6 +7,7 @@ elsewhere is ever parsed in the daemon.
 
 import asyncio
 import contextlib
+import tomllib
 from collections.abc import AsyncIterator, Callable, Mapping
 from inspect import Parameter, Signature
 from pathlib import Path
@@ -40,28 +41,9 @@ REFUSALS: dict[int | str, dict[str, Any]] = dict.fromkeys(REFUSED, ErrorBody)
 # HTTP status of an error of armctl; of every other kind 409.
 STATUSES: dict[type[ArmctlError], int] = {NoDaemon: 503, LogError: 404, ConfigError: 422}
 
-# What is handed to the daemon as it is: by the route its method on the socket, what the body is, and what it does.
-COMMANDS: dict[str, tuple[str, type[Frozen] | None, str]] = {
-    "GET /status": ("status", None, "One snapshot, as `armctl status --json`."),
-    "POST /torque-on": ("torque_on", Nothing, "Carefully energise the arm where it is."),
-    "POST /park": ("park", Nothing, "Slowly to the rest pose, then limp."),
-    "POST /move": ("move", MoveRequest, "Go to joint positions, a point or a pose; answers at rest."),
-    "POST /pause": ("pause", Nothing, "Slow the motion down to a stop, on its path."),
-    "POST /resume": ("resume", Nothing, "Go on with a paused motion."),
-    "POST /rate": ("rate", Rate, "Go on with the motion at this share of its planned speed, 0.1 to 1."),
-    "POST /clear": ("clear", Nothing, "Acknowledge faults, or a notice; refused while a cause persists."),
-    "POST /release": ("release", Confirmed, "Switch torque off: the arm drops unless it is supported (`confirm`)."),
-    "POST /teach/begin": ("teach_begin", Confirmed, "Make the arm limp: it drops unless it is supported (`confirm`)."),
-    "POST /teach/end": ("teach_end", Nothing, "Leave teaching; the arm stays limp."),
-    "POST /take/begin": ("take_begin", Named, "Record a candidate."),
-    "POST /take/end": ("take_end", Nothing, "The candidate is complete."),
-    "GET /recordings": ("recordings_list", None, "The candidates, and every run that was recorded."),
-    "GET /recordings/{name}": ("recordings_track", None, "One recording with its tool path."),
-    "DELETE /recordings/{name}": ("recordings_delete", None, "Delete a recording."),
-    "GET /plans": ("plans_list", None, "Plans that the daemon keeps, the newest first."),
-    "GET /plans/{name}": ("plans_show", None, "One plan with its predicted tool path."),
-    "DELETE /plans/{name}": ("plans_delete", None, "Delete a plan."),
-}
+# What is handed to the daemon as it is, and what a body there may be.
+COMMANDS = tomllib.loads(Path(__file__).with_name("commands.toml").read_text("utf-8"))
+BODIES: dict[str, type[Frozen]] = {body.__name__: body for body in (Confirmed, MoveRequest, Named, Nothing, Rate)}
 
 # An end of a line in an address.
 End = Annotated[list[Annotated[float, Field(allow_inf_nan=False)]], Query(min_length=3, max_length=3)]
@@ -177,10 +159,11 @@ def _live(daemon: Connections, guard: Guard) -> APIRouter:
 
 def _commands(daemon: Connections, set_up: SetUp) -> APIRouter:
     router = APIRouter()
-    for route, (method, body, text) in COMMANDS.items():
-        verb, path = route.split()
-        given: dict[str, Any] = {"name": NamePath} if "{name}" in path else {"body": body} if body else {}
-        router.add_api_route(path, _handed_on(daemon, method, given, text), methods=[verb], name=method)
+    for route, told in COMMANDS.items():
+        (verb, path), method = route.split(), told["method"]
+        given: dict[str, Any] = {"body": BODIES[told["body"]]} if "body" in told else {}
+        given |= {"name": NamePath} if "{name}" in path else {}
+        router.add_api_route(path, _handed_on(daemon, method, given, told["text"]), methods=[verb], name=method)
 
     @router.post("/stop")
     async def stop(_: Nothing) -> dict[str, Any]:

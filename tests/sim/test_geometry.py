@@ -14,8 +14,8 @@ from armctl.dynamixel import ax12a
 from armctl.kinematics import robots
 from armctl.kinematics.chain import tool_position
 from armctl.sim.arm import SimulatedArm
-from armctl.sim.geometry import GEOMETRIES, PERFECT, Deviation, Geometry
-from armctl.sim.spec import DEFAULT_SPEC, RANDOM_SPEC, ArmSpec
+from armctl.sim.geometry import PERFECT, Deviation, Geometry
+from armctl.sim.spec import DEFAULT_SPEC, GEOMETRIES, RANDOM_SPEC, ArmSpec
 from tests.sim.conftest import WORKING_RAD, Bench, turned
 
 SEEDS = range(5)

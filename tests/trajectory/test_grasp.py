@@ -38,7 +38,7 @@ REST, ARM, ROBOT, _ = XIANG
 
 
 def path_to(point: tuple[float, float, float] = POINT, **how: Any) -> FloatArray:
-    return grasp.plan_grasp(ReachRequest(point_m=point, **how), *XIANG).path_rad
+    return grasp.plan_grasp(ReachRequest(point_m=point, **how), *XIANG)
 
 
 def keeps_its_turn(chain: SerialChain, q: FloatArray, places_m: FloatArray, limits: FloatArray) -> bool:
@@ -69,7 +69,7 @@ def test_the_tool_comes_down_a_straight_line_and_turns_only_where_a_joint_is_at_
     except RequestRefused:
         reject()
     there = grasp.approach(planned, q_now, arm, robot, period_s).positions_rad[-1]
-    down = np.array(grasp.straight(planned.path_rad, there, arm, robot, period_s).positions_rad)
+    down = np.array(grasp.straight(planned, there, arm, robot, period_s).positions_rad)
     T = forward_kinematics(robot.chain, down[:, : robot.chain.n])
     assert T[-1, :3, 3] == pytest.approx(point, abs=1e-6)
     assert T[0, :3, 3] == pytest.approx(np.add(point, (0.0, 0.0, 0.04)), abs=1e-5)
@@ -78,7 +78,7 @@ def test_the_tool_comes_down_a_straight_line_and_turns_only_where_a_joint_is_at_
     assert peak_tool_speed(T[:, :3, 3], PERIOD_S) <= grasp.STRAIGHT_M_S * 1.001
     low, high = np.array([joint.limits_rad for joint in arm.joints]).T
     turned = np.abs(T[:, :3, :3] - T[-1, :3, :3]).max() > 2e-3
-    assert not (turned and keeps_its_turn(robot.chain, planned.path_rad[-1], T[::-1, :3, 3], np.stack([low, high], 1)))
+    assert not (turned and keeps_its_turn(robot.chain, planned[-1], T[::-1, :3, 3], np.stack([low, high], 1)))
     assert ((down >= low - 1e-9) & (down <= high + 1e-9)).all()
 
 

@@ -16,7 +16,7 @@ __all__ = ["pytestmark"]
 VIEWS = ("arm", "live", "guide", "compare", "logs", "setup")
 NONSENSE = [
     "", " ", "x", "1, 2", "1, 2, 3, 4", "1,,2", "1e999", "-7", "2.5", "99999", "<b>", "nan, 0, 0", "..", "a b", "a/b",
-    "0.1, 0.1, 99999", "0x10, 0, 0.1, ", "ü", "-", "5 s",
+    "0.1, 0.1, 99999", "0x10, 0, 0.1, ", "ü", "-", "5 s", "1e9", "\U0001f9be", "x" * 5000,
 ]  # fmt: skip
 
 
@@ -66,7 +66,8 @@ def number(low: float, high: float, whole: bool = True) -> Callable[[str], bool]
 
 
 def name(value: str) -> bool:
-    return value.isascii() and value[:1].isalnum() and all(one.isalnum() or one in "._-" for one in value)
+    fits = value.isascii() and len(value) <= 64 and value[:1].isalnum()
+    return fits and all(one.isalnum() or one in "._-" for one in value)
 
 
 # What may stand in each field, by its id or name; None: what is wrong with it only the server knows.
@@ -105,9 +106,10 @@ def test_every_field_says_in_words_beside_it_what_is_wrong(unserved: Page) -> No
                 fits = judge(kept.strip())
                 assert (told == "") == fits, f"{key}: {kept!r} is told {told!r}"
                 assert fits or (beside and len(told.split()) > 4), f"{key}: {told!r} is not seen beside it"
+                assert len(told) < 200, f"{key}: all that was written is told again"
         if view == "setup":
             page.click("#setup-leave")
-            expect(page.locator("#setup-go")).to_be_visible()
+            expect(page.locator("#setup-busy")).to_contain_text("interrupted")
     assert seen == set(FIELDS)
 
 
@@ -135,3 +137,23 @@ def test_words_that_find_nothing_for_they_mean_nothing_are_refused_beside_them(u
     page.press("#log-words", "Enter")
     expect(page.locator("#log-words-problem")).to_contain_text("cannot be understood")
     expect(page.locator("#message")).to_be_hidden()
+
+
+@pytest.mark.parametrize("written", ["nonsense", "\U0001f9be", "x" * 5000])
+def test_a_token_that_opens_nothing_is_told_beside_its_field_alone(unserved: Page, written: str) -> None:
+    assert unserved.context.browser is not None
+    page = unserved.context.browser.new_page()
+    page.goto(unserved.url.partition("#")[0])
+    page.fill("#login-token", written)
+    page.click("#login [type=submit]")
+    expect(page.locator("#login-token-problem")).to_contain_text("this token opens nothing")
+    expect(page.locator("#message")).to_be_hidden()
+    expect(page.locator("#view-arm")).to_be_hidden()
+    page.close()
+
+
+def test_nothing_moves_an_arm_that_no_daemon_controls(unserved: Page) -> None:
+    page = unserved
+    page.click("nav [data-view=arm]")
+    for control in page.locator("#tool-go, [data-jog], #joints input, #go").all():
+        expect(control).to_be_disabled()

@@ -8,7 +8,7 @@ import { enterGuide, guide, pointLed, progressed, showTeaching, wireGuide } from
 import { drawLive, remember } from "/live.js";
 import { loadLogs, wireLogs } from "/logs.js";
 import { enterSetUp, settingUp, showSetUp, wireSetUp } from "/setup.js";
-import { $, act, after, armView, asked, confirmed, degrees, logIn, millimetres, page, post, request, tell, token, torqueOn, views } from "/page.js";
+import { $, act, after, armView, asked, confirmed, degrees, logIn, millimetres, page, post, request, tell, token, torqueOn, views, words } from "/page.js";
 
 let drive = null;
 const trail = [];
@@ -58,9 +58,9 @@ function show(latest) {
   $("notice").hidden = !notice;
   controls();
   keepRate(state);
+  if (drive) drive.show(state, latest?.joints ?? []);
   if (!latest) return;
   latest.joints.forEach(showJoint);
-  if (drive) drive.show(state, latest.joints);
   const place = latest.tool && latest.tool.position_m;
   $("tool").textContent = place ? place.map((value) => Math.round(1000 * value) || 0).join(", ") + " mm" : "–";
   $("tick").textContent = latest.tick;
@@ -104,18 +104,22 @@ const BUTTONS = { clear: "Clear the fault", release: "Release", "torque on": "To
 const pressed = (text) => text.replace(/(?:type )?`armctl (clear|release|torque on|park|stop)`/g, (_, name) => `press \u201c${BUTTONS[name]}\u201d`);
 let cards = "";
 
-// A card for every fault, the worst first.
+// A card for every fault, the worst first; one that follows from another is over with that.
 function showFaults(faults) {
   if (faults.length && $("fault").hidden) scrollTo(0, 0);  // where its card stands
   $("fault").hidden = !faults.length;
   const told = faults.map(({ code, servo_id, text, arm: doing, next, follows }) => [
-    `${code}${servo_id === null ? "" : `, servo ${servo_id}`}`, text ?? "", follows ? `It follows from ${follows}.` : "", `The arm: ${doing}`, `Next: ${pressed(next)}`,
+    `${code}${servo_id === null ? "" : `, servo ${servo_id}`}`, text ?? "", ...(follows ? [`It follows from ${follows}.`] : [`The arm: ${doing}`, `Next: ${pressed(next)}`]),
   ]);
   if (cards === (cards = JSON.stringify(told))) return;  // said aloud once
   $("faults").replaceChildren(...told.map(([title, ...lines]) => {
     const card = document.createElement("article"), heading = document.createElement("h2");
     heading.textContent = title;
-    card.append(heading, ...lines.filter(Boolean).map((line) => Object.assign(document.createElement("p"), { textContent: line })));
+    card.append(heading, ...lines.filter(Boolean).map((line) => {
+      const said = document.createElement("p");
+      said.append(...words(line));
+      return said;
+    }));
     return card;
   }));
 }
@@ -260,5 +264,6 @@ act(null, async () => {
   if (page.view) page.view.led = pointLed;
   drive = new Drive(post, page.view);
   makeJointRows();
+  show(page.snapshot);
   if (asked.get("view") in ENTER) view(asked.get("view"));
 });

@@ -7,19 +7,24 @@ import uPlot from "/uplot.js";
 export const COLOURS = ["#2f8fe0", "#e69f00", "#009e73", "#cc79a7", "#d55e00", "#7fa6c9", "#a8a21d", "#9b5fd0"];
 const css = (name) => getComputedStyle(document.body).getPropertyValue(name).trim();
 
+// The colour of a curve; one of the page goes by its name.
+const own = ({ colour }, i) => colour ?? COLOURS[i % COLOURS.length];
+const ink = (colour) => colour.startsWith("--") ? css(colour) : colour;
+
 // A list's items: names beside the colours of their curves.
-export const namesOf = (names) => names.map((name, i) => {
+export const namesOf = (curves) => curves.map((curve, i) => {
   const item = document.createElement("li");
-  item.style.setProperty("--own", COLOURS[i % COLOURS.length]);
-  item.textContent = name;
+  const colour = own(curve, i);
+  item.style.setProperty("--own", colour.startsWith("--") ? `var(${colour})` : colour);
+  item.textContent = curve.name;
   return item;
 });
 
 export class Chart {
   // Draws into an element, which has a size of its own. `x` and `y` are what the axes say; the one of y begins at `low`,
-  // where that is given, and shows no less than `span`.
-  constructor(element, { x, y, log = false, low = null, span = 1e-3 }) {
-    Object.assign(this, { element, x, y, log, low, span, marked: null, notches: [], series: [], plot: null });
+  // where that is given, and shows no less than `span`; that of x is `wide`, where that is given.
+  constructor(element, { x, y = null, log = false, low = null, span = 1e-3, wide = null }) {
+    Object.assign(this, { element, x, y, log, low, span, wide, marked: null, notches: [], series: [], plot: null });
     this.names = document.createElement("ul");
     this.names.className = "names";
     this.canvas = document.createElement("div");
@@ -31,7 +36,7 @@ export class Chart {
     return { width: Math.max(80, this.element.clientWidth), height: Math.max(80, this.element.clientHeight - this.names.offsetHeight) };
   }
 
-  // Curves [{name, x, y}]; places without a value are null.
+  // Curves [{name, x, y, colour}]; places without a value are null, a colour may be left out.
   draw(series) {
     const names = series.map((one) => one.name).join("\n"), data = this.joined(series);
     if (this.plot && names === this.shown) {
@@ -40,7 +45,7 @@ export class Chart {
     }
     this.shown = names;
     this.series = series;
-    this.names.replaceChildren(...namesOf(series.map(({ name }) => name)));
+    this.names.replaceChildren(...namesOf(series));
     this.make(data);
   }
 
@@ -53,7 +58,7 @@ export class Chart {
     if (this.plot) this.plot.destroy();
     this.element.dataset.ink = css("--ink");
     const axis = (label) => ({ label, stroke: css("--ink"), grid: { stroke: css("--edge"), width: 1 }, ticks: { stroke: css("--edge") },
-      font: "12px system-ui", labelFont: "13px system-ui", labelSize: 22 });
+      font: "12px system-ui", labelFont: "13px system-ui", labelSize: 20 });
     const { low: least, span } = this;
     const scale = this.log ? { distr: 3 } : { range: (_, low, high) => {
       const room = Math.max(0.06 * (high - low), (span - high + low) / 2);
@@ -61,9 +66,9 @@ export class Chart {
     } };
     this.plot = new uPlot({
       ...this.size(), legend: { show: false }, cursor: { y: false, drag: { x: true, y: false } },
-      scales: { x: { time: false }, y: scale },
-      axes: [{ ...axis(this.x), size: 34 }, { ...axis(this.y), size: 52 }],
-      series: [{}, ...this.series.map(({ name }, i) => ({ label: name, stroke: COLOURS[i % COLOURS.length], width: 2, spanGaps: true, points: { show: false } }))],
+      scales: { x: { time: false, ...(this.wide && { range: this.wide }) }, y: scale },
+      axes: [{ ...axis(this.x), size: 30 }, { ...axis(this.y), size: 46 }],
+      series: [{}, ...this.series.map((one, i) => ({ label: one.name, stroke: ink(own(one, i)), width: 2, spanGaps: true, points: { show: false } }))],
       hooks: { draw: [(plot) => this.lines(plot)] },
     }, data, this.canvas);
   }
@@ -113,11 +118,11 @@ export function chart(id, how) {
 
 export const repaint = () => charts.forEach((one) => one.paint());
 
-// How far tool paths [name, places] are off the line from A to B, along it.
+// How far tool paths [name, places, colour] are off the line from A to B, along it.
 export function drawDeviation(id, paths, A, B) {
-  const curves = paths.map(([name, path]) => {
+  const curves = paths.map(([name, path, colour]) => {
     const places = fromTo(path, A, B).map((place) => [100 * progressAlong(place, A, B), distance(place, A, B)]).sort(([a], [b]) => a - b);
-    return { name, x: places.map(([x]) => x), y: places.map(([, y]) => y) };
+    return { name, colour, x: places.map(([x]) => x), y: places.map(([, y]) => y) };
   });
   chart(id, { x: "along the line, %", y: "off the line, mm", low: 0 }).draw(curves);
 }

@@ -3,15 +3,17 @@
 import { COLOURS, drawDeviation, namesOf } from "/charts.js";
 import { onTheWay, proper, wantedLine } from "/geometry.js";
 import { tracks } from "/guide.js";
-import { $, act, armView, confirmed, millimetres, request, spoken } from "/page.js";
+import { $, act, armView, confirmed, request, spoken } from "/page.js";
 
 let pathView = null;
+// A figure of a column whose head says what it is in.
+const short = (value) => value?.toFixed(1) ?? "–";
 const shown = { recordings: new Set(), plans: new Set() };
 
 export async function loadCompare() {
   const [{ recordings }, { plans }] = await Promise.all([request("/recordings"), request("/plans")]);
-  rows("recordings", recordings, (one) => [`${one.duration_s.toFixed(1)} s`, millimetres(one.mean_error_mm), millimetres(one.max_error_mm)]);
-  rows("plans", plans, (one) => [one.via, millimetres(one.predicted_mean_error_mm), millimetres(one.predicted_max_error_mm)]);
+  rows("recordings", recordings, (one) => [`${one.duration_s.toFixed(1)} s`, short(one.mean_error_mm), short(one.max_error_mm)]);
+  rows("plans", plans, (one) => [one.via, short(one.predicted_mean_error_mm), short(one.predicted_max_error_mm)]);
   await drawCompare();
 }
 
@@ -65,7 +67,7 @@ async function drawCompare() {
   if (!paths.length) return;
   const line = wantedLine();
   if (line) drawDeviation("deviation", paths, ...line);
-  $("paths-names").replaceChildren(...namesOf(paths.map(([name]) => name)));
+  $("paths-names").replaceChildren(...namesOf(paths.map(([name]) => ({ name }))));
   pathView ??= armView("paths", null);
   if (pathView) pathView.paths([...paths.map(([, path], i) => [onTheWay(path, line), COLOURS[i % COLOURS.length], false]), [line || [], "--red", true]]);
 }

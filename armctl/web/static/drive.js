@@ -81,7 +81,7 @@ export class Drive {
     $("go").disabled = !any || this.state !== "holding";
     $("go-reset").disabled = !any;
     const all = this.joints.every(({ at }) => at !== null);
-    this.view?.aim(any && all ? this.wanted() : null);
+    this.view?.aim(any && all && !$("view-arm").hidden ? this.wanted() : null);
   }
 
   reset() {
@@ -98,9 +98,9 @@ export class Drive {
       const joint = this.joints[i];
       if (!joint) return;
       joint.at = at;
-      joint.slider.disabled = !STANDING.includes(state);
       if (at !== null && !this.targets.has(i)) joint.slider.value = degrees(at).toFixed(1);
     });
+    for (const { slider } of this.joints) slider.disabled = !STANDING.includes(state);
     $("tool-go").disabled = state !== "holding";
     for (const button of document.querySelectorAll("[data-jog]")) button.disabled = !["holding", "jogging"].includes(state);
     $("drive-hint").hidden = state !== "off";

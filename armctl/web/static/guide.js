@@ -7,11 +7,13 @@ import { $, act, after, confirmed, fill, millimetres, page, post, Refused, reque
 const MOST_DRAWN = 12;
 // Of a line that a take shows [%]: less is not what was to be shown.
 const LEAST_COVERED = 80;
+// Of the takes; the plan is blue and its run green.
+const TAKEN = [1, 3, 6, 7, 5, 4].map((i) => COLOURS[i]);
 // The take that is recorded, and whether a plan runs.
 export const guide = { taking: null, running: false };
 // Of recordings, by name: the tool's path, and how far it is off lines, as the daemon says, by the line.
 export const tracks = new Map();
-let takes = [], drawn = null;
+let takes = [], drawn = null, ran = false;
 let covered = [1, 0];  // of the line, in the take under way
 
 // Which step comes next is marked.
@@ -74,14 +76,22 @@ async function drawGuide() {
   }
   const chosen = inSight.filter((take) => take.chosen).map((take) => take.name);
   page.view.keep(["line", "trail", "plan", "run"]);
-  chosen.forEach((name, i) => page.view.curve(`take ${name}`, onTheWay(tracks.get(name).tool_m, line), COLOURS[i % COLOURS.length]));
-  $("guide-names").replaceChildren(...namesOf(chosen));
+  chosen.forEach((name, i) => page.view.curve(`take ${name}`, onTheWay(tracks.get(name).tool_m, line), TAKEN[i % TAKEN.length]));
+  nameCurves(chosen, line);
   showTakes();
+}
+
+// Which curve in space is which.
+function nameCurves(chosen, line) {
+  $("guide-names").replaceChildren(...namesOf([
+    ...chosen.map((name, i) => ({ name, colour: TAKEN[i % TAKEN.length] })), ...(line ? [{ name: "wanted line", colour: "--red" }] : []),
+    ...(drawn ? [{ name: "plan", colour: "--blue" }] : []), ...(ran ? [{ name: "run", colour: "--ok" }] : []),
+  ]));
 }
 
 // A plan's path with its intermediate points, which can be led elsewhere, and, where there is one, its run's.
 function drawPlan(shown, run = []) {
-  drawn = shown;
+  [drawn, ran] = [shown, run.length > 1];
   const { plan, tool_m } = shown;
   $("bend-form").hidden = !plan.via;
   fill($("bend-point"), Array.from({ length: plan.via }, (_, i) => [String(i + 1), String(i + 1)]));
@@ -89,6 +99,7 @@ function drawPlan(shown, run = []) {
   page.view.curve("plan", tool_m, "--blue");
   page.view.balls(plan.waypoints_rad.slice(1, -1).map((q) => page.view.toolAt(q)), "--blue");
   page.view.curve("run", run, "--ok");
+  nameCurves(takes.filter((take) => take.chosen).slice(0, MOST_DRAWN).map(({ name }) => name), wantedLine());
   showPoint();
 }
 
@@ -137,6 +148,7 @@ async function toggleTake() {
     const name = freeName(valueOf($("take-name")));
     await post("/take/begin", { name });
     [guide.taking, covered] = [name, [1, 0]];
+    showNext();
   }
 }
 
@@ -267,12 +279,12 @@ async function runPlan(refine) {
   const recorded = async (one) => proper(await request(`/recordings/${encodeURIComponent(one)}`));
   const [plan, measured] = await Promise.all([request(`/plans/${encodeURIComponent(name)}`), recorded(result.recording)]);
   drawPlan(plan, measured);
-  const paths = [["predicted", plan.tool_m], ["measured", measured]];
+  const paths = [["predicted", plan.tool_m, "--blue"], ["measured", measured, "--ok"]];
   if (result.rounds) {
     const [first] = result.rounds, count = result.rounds.reduce((sum, round) => sum + round.recordings.length, 0);
     $("run-figures").textContent = `${result.ended ? `ended before its time: ${result.ended.code}: ${result.ended.text}. ` : ""}` +
       `The best of ${count} runs, ${made}: ${$("run-figures").textContent}; the first one: ${millimetres(first.mean_error_mm)} and ${millimetres(first.max_error_mm)}`;
-    paths[0] = ["first run", await recorded(first.recordings[0])];
+    paths[0] = ["first run", await recorded(first.recordings[0]), COLOURS[1]];
     await loadPlanChoice(result.plan.split("/").pop().replace(/\.json$/, ""));
   }
   $("run-plot").hidden = false;

@@ -4,12 +4,12 @@ import { chart } from "/charts.js";
 
 const MINUTE_S = 60;
 const degrees = (rad) => rad * 180 / Math.PI;
-// What is drawn where: what it is called, how much of it is shown at least, and where it stands.
+// What is drawn where: how much of it is shown at least, and where it stands.
 const TOLD = {
-  "live-angle": ["angle, °", 10, (joint) => degrees(joint.position_rad)],
-  "live-load": ["load, %", 20, (joint) => 100 * joint.load_ratio],
-  "live-heat": ["temperature, °C", 8, (joint) => joint.temperature_degC],
-  "live-supply": ["supply, V", 2, (joint) => joint.voltage_V],
+  "live-angle": [10, (joint) => degrees(joint.position_rad)],
+  "live-load": [20, (joint) => 100 * joint.load_ratio],
+  "live-heat": [8, (joint) => joint.temperature_degC],
+  "live-supply": [2, (joint) => joint.voltage_V],
 };
 const seen = [];
 
@@ -23,8 +23,8 @@ export function remember({ joints }) {
 export function drawLive() {
   if (!seen.length) return;
   const [now_s, joints] = seen.at(-1), x = seen.map(([time_s]) => time_s - now_s);
-  for (const [id, [y, span, of]] of Object.entries(TOLD)) {
-    chart(id, { x: "seconds", y, span }).draw(joints.map(({ name }, i) => ({
+  for (const [id, [span, of]] of Object.entries(TOLD)) {
+    chart(id, { x: "seconds", span, wide: [-MINUTE_S, 0] }).draw(joints.map(({ name }, i) => ({
       name, x, y: seen.map(([, then]) => then[i].position_rad === null ? null : of(then[i])),
     })));
   }

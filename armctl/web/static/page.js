@@ -30,6 +30,7 @@ function takeToken() {
 // Asks for a token where the address had none, or it opens nothing any more.
 export function logIn() {
   $("login").hidden = false;
+  if (token) beside($("login-token"), "this token opens nothing, or nothing any more; copy it as it was printed");
   $("login").onsubmit = (event) => {
     event.preventDefault();
     sessionStorage.setItem("armctl-token", $("login-token").value.trim());
@@ -47,16 +48,19 @@ export class Refused extends Error {
 
 // ------------------------------------------------------------------------------------------------- fields
 
-const NAME = /^[A-Za-z0-9][A-Za-z0-9._-]*$/;
+const NAME = /^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$/;
 const FARTHEST_M = 10;
+const LONGEST = 40;
+// Of what was written, what is told again.
+const quoted = (value) => value ? `"${value.length > LONGEST ? `${value.slice(0, LONGEST)}\u2026` : value}"` : "nothing";
 const place = (unit, scale, example) => (value) => {
   const to = point(value);
-  if (!to) return `"${value}" is no place: write three numbers in ${unit} with commas between them, such as ${example}`;
-  return to.some((one) => Math.abs(one) > FARTHEST_M * scale) ? `"${value}" is farther than ${FARTHEST_M * scale} ${unit} from the base` : "";
+  if (!to) return `${quoted(value)} is no place: write three numbers in ${unit} with commas between them, such as ${example}`;
+  return to.some((one) => Math.abs(one) > FARTHEST_M * scale) ? `${quoted(value)} is farther than ${FARTHEST_M * scale} ${unit} from the base` : "";
 };
 // What is wrong with a value, by what the field is (`data-is`); nothing: it is as it may be.
 const RULES = {
-  name: (value) => NAME.test(value) ? "" : `"${value}" is no name: write letters, digits, ".", "_" or "-", the first a letter or a digit, such as my-arm`,
+  name: (value) => NAME.test(value) ? "" : `${quoted(value)} is no name: write up to 64 letters, digits, ".", "_" or "-", the first a letter or a digit, such as my-arm`,
   metres: place("m", 1, "0.18, 0, 0.1"),
   millimetres: place("mm", 1000, "180, 0, 100"),
   number: (value, { min, max, step }) => {
@@ -64,6 +68,9 @@ const RULES = {
     return number >= Number(min) && number <= Number(max) && !(whole && number % 1) ? "" : `write a ${whole ? "whole " : ""}number from ${min} to ${max}`;
   },
 };
+
+// What is told, with commands between backquotes as such.
+export const words = (text) => text.split("`").map((part, i) => i % 2 ? Object.assign(document.createElement("code"), { textContent: part }) : part);
 
 // Say beside a field what is wrong with it; nothing: not any more.
 export function beside(field, text) {
@@ -95,7 +102,7 @@ document.addEventListener("input", ({ target }) => {
 });
 
 export async function request(path, { method = "GET", body } = {}) {
-  const headers = { "X-Armctl-Token": token };
+  const headers = { "X-Armctl-Token": encodeURIComponent(token) };  // as it is, where it is one
   if (body !== undefined) headers["Content-Type"] = "application/json";
   let response;
   try {
@@ -112,7 +119,7 @@ export async function request(path, { method = "GET", body } = {}) {
 export const post = (path, body = {}) => request(path, { method: "POST", body });
 
 export function tell(text) {
-  $("message").textContent = text;
+  $("message").replaceChildren(...words(text));
   $("message").hidden = !text;
 }
 
@@ -125,7 +132,8 @@ export async function act(button, work, field = null) {
     return await work();
   } catch (error) {
     if (!(error instanceof Refused)) throw error;
-    if (error.field ?? field) beside(error.field ?? field, error.message);
+    if (error.code === "NO_TOKEN") logIn();
+    else if (error.field ?? field) beside(error.field ?? field, error.message);
     else tell(error.message);
     return null;
   } finally {

@@ -153,7 +153,7 @@ export class ArmView {
   setArm(arm) {
     const reach = [...arm.axes.map(({ place_m }) => vector(place_m)), vector(arm.tool_m)];
     this.reach = reach.reduce((sum, place, i) => sum + (i ? place.distanceTo(reach[i - 1]) : 0), 0);
-    this.floor_m = arm.floor_m;
+    this.floor = [[0, 0, arm.floor_m], this.reach + 0.05, 0.05];  // its middle, how far it goes, its squares
     this.bodies = new Bodies(arm, this.materials);
     this.ghost = new Bodies(arm, { servo: this.materials.ghost, link: this.materials.ghost });
     this.probe = new Bodies(arm, this.materials);
@@ -181,11 +181,11 @@ export class ArmView {
     for (const { line, colour } of this.curves.values()) line.material.color.set(css(colour));
     if (this.dotColour) this.dotted.color.set(css(this.dotColour));
     if (this.grid) this.scene.remove(this.grid);
-    if (this.reach) {
-      const size = 2 * Math.ceil(10 * this.reach + 0.5) / 10;
-      this.grid = new three.GridHelper(size, Math.round(20 * size), css("--rule"), css("--edge"));
+    if (this.floor) {
+      const [[x, y, z], half, square] = this.floor, count = 2 * Math.ceil(half / square);
+      this.grid = new three.GridHelper(count * square, count, css(this.bodies ? "--rule" : "--edge"), css("--edge"));
       this.grid.rotation.x = Math.PI / 2;
-      this.grid.position.z = this.floor_m;
+      this.grid.position.set(x, y, z);
       this.scene.add(this.grid);
     }
     this.redraw();
@@ -308,16 +308,25 @@ export class ArmView {
     this.redraw();
   }
 
-  // Paths [points, colour, dashed] alone, near enough to be told apart.
+  // Paths [points, colour, dashed] alone, as near as all of them are in sight, over squares of 10 mm.
   paths(some) {
+    this.resize();
     for (const { line } of this.curves.values()) line.visible = false;
     some.forEach(([points, colour, dashed], i) => this.curve(`${colour} ${i}`, points, colour, dashed));
-    const ends = new three.Box3().setFromPoints(some.flatMap(([points]) => points.map(vector)));
-    const radius = Math.max(0.02, ends.getSize(new three.Vector3()).length() / 2);
-    ends.getCenter(this.controls.target);
-    this.camera.position.copy(this.controls.target).add(new three.Vector3(1, -1.2, 0.9).multiplyScalar(2.2 * radius));
+    const places = some.flatMap(([points]) => points.map(vector)), longest = some.map(([points]) => points).sort((a, b) => b.length - a.length)[0];
+    const box = new three.Box3().setFromPoints(places), { x, y } = box.getCenter(this.controls.target);
+    this.floor = [[x, y, box.min.z], box.getSize(new three.Vector3()).length() / 2, 0.01];
+    // From aside and above of the way that the longest one leads, so far off that every place is in sight.
+    const way = across(this.camera.up, vector(longest.at(-1)).sub(vector(longest[0]))) ?? new three.Vector3(0, 1, 0);
+    const from = way.clone().cross(this.camera.up).addScaledVector(this.camera.up, 0.6).normalize(), high = way.clone().cross(from);
+    const tall = Math.tan(this.camera.fov * Math.PI / 360), wide = tall * this.camera.aspect;
+    const far = Math.max(0.05, ...places.map((place) => {
+      place.sub(this.controls.target);
+      return place.dot(from) + Math.max(Math.abs(place.dot(way)) / wide, Math.abs(place.dot(high)) / tall);
+    }));
+    this.camera.position.copy(this.controls.target).addScaledVector(from, 1.1 * far);
     this.controls.update();
-    this.redraw();
+    this.paint();
   }
 
   resize() {

@@ -10,6 +10,7 @@ const STEPS = {
 };
 const WORDS = { kind: "Which arm is yours like", name: "Its name", port: "Port" };
 const HANDY = /^(middle|bend|rest|zero|motion)$|[.](one_end|the_other_end|open|closed|free|went)$/;
+const BEFORE = /^(kind|name|port)$/;  // asked before the first step
 const PUSHED_DEG = 2.5;  // beyond its limits, against the stop
 const LEAST_RAD = 0.03;  // that a joint is seen to turn by
 let told = [], running = false, shown = -1, handing = false, swing = 0;
@@ -34,8 +35,8 @@ export function showSetUp(message) {
   $("setup-go").textContent = told.length ? "Go on" : "Begin";
   $("setup-question").hidden = !waits;
   $("setup-busy").hidden = !(running ? !waits : last.error);
-  $("setup-busy").textContent = running ? "Looking at the servos …" : last.error ?? "";
-  $("setup-busy").className = running ? "hint" : "alarm";
+  $("setup-busy").textContent = running ? "Looking at the servos …" : last.error?.message ?? "";
+  $("setup-busy").className = running || last.error?.code === "INTERRUPTED" ? "hint" : "alarm";  // that was asked for
   $("setup-done").hidden = !last.arm;
   $("setup-arm").textContent = last.arm ? `Its file is ${last.arm}. Start the arm, then teach it a line.` : "";
   if (!waits) shown = -1;
@@ -44,8 +45,8 @@ export function showSetUp(message) {
 
 function drawSteps() {
   const done = new Map(told.filter(({ step }) => step).map(({ step }) => [step.name, step.text]));
-  const current = running ? Object.keys(STEPS).find((name) => !done.has(name)) : null;
-  $("setup-step").textContent = current ? STEPS[current][0] : "The arm";
+  const current = running && !BEFORE.test(told.at(-1)?.question?.key) ? Object.keys(STEPS).find((name) => !done.has(name)) : null;
+  $("setup-step").textContent = current ? STEPS[current][0] : done.size ? "The arm" : "Before the first step";
   $("setup-steps").replaceChildren(...Object.entries(STEPS).map(([name, [title, about]], i) => {
     const item = document.createElement("li");
     item.dataset.mark = done.has(name) ? "\u2713" : String(i + 1);
@@ -62,7 +63,6 @@ function ask({ key, text, choices }, number) {
   $("setup-picture").textContent = lines.slice(0, drawn).join("\n");
   $("setup-picture").hidden = !drawn;
   $("setup-text").textContent = lines.slice(drawn).join("\n");
-  if (key === "kind" || written) $("setup-step").textContent = "Before the first step";
   $("setup-word-part").hidden = !written;
   $("setup-label").textContent = WORDS[key] ?? "";
   $("setup-word").value = "";
