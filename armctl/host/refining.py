@@ -5,7 +5,9 @@ Rules.
 2. All of it is one request and one lease. Anybody may stop or pause it, in a run or between two.
 3. Each run is a recording. The best plan so far is a file as soon as it is known, so whatever ends the refinement,
    a client that leaves included, nothing is lost: once there is one whole run, the answer tells what was reached.
-4. A run that took longer than its plan, because it was paused or servos did not answer, is repeated, not learnt from.
+4. Readings count by where in its plan the arm was to be, so that a few ticks in which it waited for a servo cost
+   nothing. A run that was longer than its plan by more than `WAITED_SHARE`, such as one that was paused, or slower, is
+   repeated, not learnt from.
 """
 
 import asyncio
@@ -21,15 +23,17 @@ from armctl.errors import LogError, RequestRefused
 from armctl.host.host import Host
 from armctl.host.lease import Client, Lease
 from armctl.host.motions import line_result, plan_note, run_leg
-from armctl.host.watch import Watch
+from armctl.host.watch import Done
 from armctl.recording.disk import put
 from armctl.trajectory.course import course_of
 from armctl.trajectory.plan import Plan, plan_to_text
 from armctl.trajectory.refinement import ASTRAY, Measured, Refinement, Round, following, seen_mm
 
 MOST_FURTHER = 20
-# Runs in a row that may be disturbed.
-TRIES = 3
+# Runs in a row that may be disturbed, and what of its time a run may have waited.
+TRIES, WAITED_SHARE = 3, 0.08
+# What is less is no way on along a plan.
+SAME_S = 1e-3
 
 
 async def refine(
@@ -101,8 +105,8 @@ class _Job:
             legs, note = [run_leg(self.host, plan, corrected=self.corrected)], plan_note(plan, corrected=self.corrected)
             name, [done] = await self.host.carry_out(self.lease, legs, note)
             result = self.results[name] = {"recording": name, **line_result(plan, done, self.host.robot)}
-            if abs(result["duration_s"] - plan.duration_s) < self.host.period_s / 2.0:
-                return _measured(name, done.watch)
+            if result["duration_s"] <= (1.0 + WAITED_SHARE) * plan.duration_s + self.host.period_s / 2.0:
+                return measured(name, done)
             if self.work is not None:
                 self.work.lost()
         took_s = result["duration_s"]
@@ -132,10 +136,14 @@ class _Job:
         self.kept = plan
 
 
-def _measured(name: str, watch: Watch) -> Measured:
-    """What was seen between the plan's begin and its end."""
+def measured(name: str, done: Done) -> Measured:
+    """What was seen between the plan's begin and its end; where the arm waited, what was read first."""
+    watch, way = done.watch, done.trajectory
     begin_ns, end_ns = watch.marks_ns["PLAN_BEGIN"], watch.marks_ns["PLAN_END"]
-    time_ns, read_ns = np.array(watch.time_ns), np.array(watch.stamps_ns).mean(axis=1)
-    inside = (begin_ns <= time_ns) & (time_ns <= end_ns)
-    q = np.array(watch.positions_rad)[inside]
-    return Measured((read_ns[inside] - begin_ns) / NS_PER_S, q, (end_ns - begin_ns) / NS_PER_S, name)
+    time_ns, progress = np.array(watch.time_ns), np.array(watch.progress)
+    inside = np.flatnonzero((begin_ns <= time_ns) & (time_ns <= end_ns))
+    goes_on = np.diff(progress[inside], prepend=-1.0) * way.duration_s > SAME_S
+    k = inside[goes_on & np.array(watch.fresh)[inside].all(axis=1)]
+    read_s = (np.array(watch.stamps_ns)[k].mean(axis=1) - time_ns[k]) / NS_PER_S
+    at_s = (progress[k] - progress[inside[0]]) * way.duration_s + read_s
+    return Measured(at_s, np.array(watch.positions_rad)[k], (end_ns - begin_ns) / NS_PER_S, name)

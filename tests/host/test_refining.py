@@ -6,13 +6,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from armctl.errors import LogError
 from armctl.host.motions import move, run
-from armctl.host.refining import refine
+from armctl.host.refining import measured, refine
+from armctl.host.watch import Done, Watch
 from armctl.kinematics.chain import tool_position
-from armctl.messages import Mode, Run
+from armctl.messages import JointTrajectory, Mode, Reply, Run
 from armctl.trajectory.plan import Plan, plan_from_text
+from armctl.trajectory.refinement import Measured
 from armctl.trajectory.target import MoveRequest
 from tests.host.bench import Bench
 from tests.host.doubles import refused
@@ -151,6 +154,32 @@ async def test_a_run_that_was_paused_is_not_learnt_from_but_repeated(bench: Benc
     assert runs(bench) == 3
     assert result["ended"] is None
     assert [len(row["recordings"]) for row in result["rounds"]] == [1, 1]
+
+
+def test_a_run_that_waited_a_few_ticks_tells_the_same_by_where_in_its_plan_it_was() -> None:
+    """Of ticks in which it waited, the first reading counts; of servos that were not heard, none."""
+    way = JointTrajectory(0.1, ((0.0,),) * 31, begin_s=1.0, end_s=3.0)
+    due_s = np.arange(1, 31) * 0.1
+
+    def seen(due_s: np.ndarray, silent: tuple[int, ...] = ()) -> Measured:
+        time_ns = [10**9 + 10**8 * k for k in range(len(due_s))]
+        watch = Watch(time_ns=time_ns, stamps_ns=[(at + 4_000_000, at + 6_000_000) for at in time_ns])
+        watch.positions_rad = [(at * at, -at) for at in due_s.tolist()]
+        watch.progress = (due_s / 3.0).tolist()
+        watch.fresh = [(True, k not in silent) for k in range(len(due_s))]
+        watch.marks_ns = {"PLAN_BEGIN": time_ns[9], "PLAN_END": time_ns[-1]}
+        return measured("run", Done(way, watch, Reply(1, ok=True)))
+
+    plain = seen(due_s)
+    assert plain.time_s == pytest.approx(due_s[9:] - due_s[9] + 0.005)
+    assert plain.positions_rad[:, 1] == pytest.approx(-due_s[9:])
+    assert plain.duration_s == pytest.approx(2.0)
+    waited = seen(np.insert(due_s, 15, [due_s[14]] * 2), silent=(15,))
+    assert waited.time_s == pytest.approx(plain.time_s)
+    assert waited.positions_rad == pytest.approx(plain.positions_rad)
+    assert waited.duration_s == pytest.approx(2.2)
+    unheard = seen(due_s, silent=(15,))
+    assert unheard.time_s == pytest.approx(np.delete(plain.time_s, 6))
 
 
 async def test_a_plan_of_another_arm_is_refused_as_by_run(bench: Bench, tmp_path: Path) -> None:

@@ -275,7 +275,9 @@ def stop_clicked(place: Place, still: Lock, begin_s: float, end_s: float) -> lis
     stops = []
     with browsed(phone=False, before=PRECEDENCE) as page:
         page.goto(f"http://127.0.0.1:{place.port}/#token={place.token}")
-        page.wait_for_selector("#state[data-state=holding]")
+        page.wait_for_selector(
+            "#state[data-state]:not([data-state=unreachable])"
+        )  # whatever it is; of a fault the others tell
         page.evaluate(LISTEN)
         time.sleep(max(0.0, begin_s - time.monotonic()))
         while time.monotonic() < end_s:

@@ -269,7 +269,7 @@ async function runPlan(refine) {
     result = await post(`/plans/${encodeURIComponent(name)}/run`, { refine, corrected: $("corrected").checked });
   } catch (error) {
     const stopped = error.code === "STOPPED";  // somebody wanted that
-    $("run-figures").textContent = stopped ? "stopped, as somebody asked: the arm holds where it came to" : "the run failed";
+    $("run-figures").textContent = stopped ? "stopped, as somebody asked: the arm holds where it came to" : `the run failed: ${error.message}`;
     if (stopped) return;
     throw error;
   }
