@@ -30,6 +30,8 @@ from armctl.strict_yaml import is_none as is_none
 from armctl.strict_yaml import parse_yaml as parse_yaml
 from armctl.strict_yaml import validate as validate
 
+# Of which SYNC_WRITE sets goal and speed at once: 8 bytes, and 5 for each, in a packet of 250 (the SDK's own bound).
+MOST_SERVOS = 48
 UserOrGroup = Annotated[str, Field(pattern=r"^@?[A-Za-z_][A-Za-z0-9_.-]{0,31}$")]
 
 
@@ -237,6 +239,8 @@ class ArmConfig(Frozen):
             values = [getattr(joint, what) for joint in self.joints]
             if twice := [value for index, value in enumerate(values) if value in values[:index]]:
                 raise ValueError(f"two joints have {what} {twice[0]}; {remedy}")
+        if (count := len(self.servos)) > MOST_SERVOS:
+            raise ValueError(f"joints have {count} servos; one packet holds goals for {MOST_SERVOS}, leave some out")
         for index, servo in enumerate(self.servos):
             if servo.servo_id in self.servo_ids[:index]:
                 both = f"{self.servos[self.servo_ids.index(servo.servo_id)].name} and the pair of {servo.name}"

@@ -5,10 +5,11 @@ from typing import Any
 
 import pytest
 import yaml
+from dynamixel_sdk.protocol1_packet_handler import TXPACKET_MAX_LEN
 from hypothesis import given
 from hypothesis import strategies as st
 
-from armctl.config import ArmConfig, Config, PairConfig, parse_yaml, validate
+from armctl.config import MOST_SERVOS, ArmConfig, Config, PairConfig, parse_yaml, validate
 from armctl.errors import ConfigError
 from armctl.files import find_arm_file, load_arm
 from armctl.strict_yaml import MAX_YAML_BYTES, MAX_YAML_DEPTH
@@ -152,6 +153,18 @@ def test_a_measured_table_is_read_both_ways(steps: list[tuple[int, int]], tick: 
     link = PairConfig(servo_id=3, table=tuple(rows)).linked(1, 512.0)
     assert [link.second(a) for a, _ in rows] == pytest.approx([b for _, b in rows])
     assert link.first(link.second(tick)) == pytest.approx(tick)
+
+
+def test_an_arm_has_as_many_servos_as_one_packet_has_goals_for() -> None:
+    def arm(pairs: int) -> ArmConfig:
+        known = load_arm("ax12-line").model_dump(exclude_unset=True)
+        own = [{"name": f"joint-{i}", "servo_id": i, "pair": {"servo_id": 100 + i}} for i in range(pairs)]
+        joints = [known["joints"][min(i, 4)] | new for i, new in enumerate(own)]
+        return validate(ArmConfig, known | {"joints": joints}, "FILE")
+
+    assert 8 + 5 * len(arm(MOST_SERVOS // 2).servos) <= TXPACKET_MAX_LEN < 8 + 5 * (MOST_SERVOS + 1)
+    with pytest.raises(ConfigError, match="50 servos; one packet holds goals for 48, leave some out"):
+        arm(25)
 
 
 def test_an_arm_without_a_pair_is_told_as_before() -> None:
