@@ -48,6 +48,8 @@ from armctl.kinematics.transform import FloatArray
 MM = 1000.0
 READINGS = 32
 READING_PERIOD_NS = 20_000_000
+# So often all servos are read before one that is not heard counts as silent: nobody waits for a limp arm.
+SAMPLES = 5
 # Highest minus lowest reading of one joint while the tool rests on a point; more: the arm moved.
 MAX_SPREAD_TICK = 6
 # Smallest singular value [mm per tick or mm] that counts as seen: there 0.25 mm are a whole tick.
@@ -186,7 +188,11 @@ def read_ticks(bus: ServoBus, joints: Sequence[ServoJoint], clock: Clock) -> tup
 
 def limp_ticks(bus: ServoBus, joints: Sequence[ServoJoint]) -> tuple[int, ...]:
     """Present position of every servo of a limp arm; raises as `read_ticks`, but for one that moves."""
-    sample, ticks = bus.read_sample(), list[int]()
+    ticks = list[int]()
+    for _ in range(SAMPLES):
+        sample = bus.read_sample()
+        if not sample.port_open or all(reading.fresh for reading in sample.servos):
+            break
     if not sample.port_open:
         raise PortGone(f"{bus.port.port_name}: the port vanished; plug the adapter in again")
     for joint, reading in zip(joints, sample.servos, strict=True):

@@ -18,6 +18,7 @@ from armctl.files import load_arm
 from armctl.kinematics import robots
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
+from armctl.sim.faults import Fault
 from tests.commissioning.bench import EXACT, Bench, PosingHand, planted, postures, touch_points, unwritten
 from tests.host.doubles import refused
 
@@ -176,6 +177,13 @@ def test_zeroing_in_a_known_pose_takes_the_ticks_as_they_are() -> None:
 @pytest.mark.parametrize("latency_ms", [0.0, 16.0])
 def test_a_still_arm_is_read_to_a_fraction_of_a_tick(latency_ms: float) -> None:
     bench = Bench(latency_ms=latency_ms)
+    ticks = read_ticks(bench.bus, bench.config.joints, bench.clock)
+    assert ticks == pytest.approx([servo.position_tick for servo in bench.servos], abs=0.4)
+
+
+def test_a_few_lost_replies_in_a_row_are_asked_for_again() -> None:
+    bench = Bench()
+    bench.arm.faults.begin(Fault(kind="lost", servo_id=2, count=7), bench.arm.time_s)
     ticks = read_ticks(bench.bus, bench.config.joints, bench.clock)
     assert ticks == pytest.approx([servo.position_tick for servo in bench.servos], abs=0.4)
 
