@@ -30,7 +30,7 @@ from armctl.strict_yaml import is_none as is_none
 from armctl.strict_yaml import parse_yaml as parse_yaml
 from armctl.strict_yaml import validate as validate
 
-# Of which SYNC_WRITE sets goal and speed at once: 8 bytes, and 5 for each, in a packet of 250 (the SDK's own bound).
+# The goals and speeds of so many fit into one SYNC_WRITE: 8 bytes, and 5 a servo, of the 250 that the SDK sends.
 MOST_SERVOS = 48
 UserOrGroup = Annotated[str, Field(pattern=r"^@?[A-Za-z_][A-Za-z0-9_.-]{0,31}$")]
 

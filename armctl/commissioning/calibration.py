@@ -48,7 +48,7 @@ from armctl.kinematics.transform import FloatArray
 MM = 1000.0
 READINGS = 32
 READING_PERIOD_NS = 20_000_000
-# So often all servos are read before one that is not heard counts as silent: nobody waits for a limp arm.
+# A servo is silent if so many samples in a row miss one; a limp arm is in no hurry.
 SAMPLES = 5
 # Highest minus lowest reading of one joint while the tool rests on a point; more: the arm moved.
 MAX_SPREAD_TICK = 6

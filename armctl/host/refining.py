@@ -5,9 +5,8 @@ Rules.
 2. All of it is one request and one lease. Anybody may stop or pause it, in a run or between two.
 3. Each run is a recording. The best plan so far is a file as soon as it is known, so whatever ends the refinement,
    a client that leaves included, nothing is lost: once there is one whole run, the answer tells what was reached.
-4. Readings count by where in its plan the arm was to be, so that a few ticks in which it waited for a servo cost
-   nothing. A run that was longer than its plan by more than `WAITED_SHARE`, such as one that was paused, or slower, is
-   repeated, not learnt from.
+4. The time of a reading is the plan's, not the clock's: it does no harm that the arm waited a few ticks for a servo. A
+   run that took longer than its plan by more than `WAITED_SHARE` (paused, or slowed down) is repeated, not learnt from.
 """
 
 import asyncio
@@ -30,9 +29,9 @@ from armctl.trajectory.plan import Plan, plan_to_text
 from armctl.trajectory.refinement import ASTRAY, Measured, Refinement, Round, following, seen_mm
 
 MOST_FURTHER = 20
-# Runs in a row that may be disturbed, and what of its time a run may have waited.
+# Runs in a row that may be disturbed, and the share of its time for which a run may wait.
 TRIES, WAITED_SHARE = 3, 0.08
-# What is less is no way on along a plan.
+# Less than this is no progress.
 SAME_S = 1e-3
 
 
@@ -137,7 +136,7 @@ class _Job:
 
 
 def measured(name: str, done: Done) -> Measured:
-    """What was seen between the plan's begin and its end; where the arm waited, what was read first."""
+    """What was seen between the plan's begin and its end; of the ticks in which the arm waited, the first counts."""
     watch, way = done.watch, done.trajectory
     begin_ns, end_ns = watch.marks_ns["PLAN_BEGIN"], watch.marks_ns["PLAN_END"]
     time_ns, progress = np.array(watch.time_ns), np.array(watch.progress)

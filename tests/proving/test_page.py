@@ -9,7 +9,7 @@ from proving import load, page
 
 LINE = ("0.2, -0.1, 0.1", "0.2, 0.1, 0.1")
 GOOD = {"arm": "a", "size": "desk", "clicks": 25, "own_mean_mm": 1.4, "errors": []}
-CLICKED = {"stops": 200, "ms_p99": 100.0}
+CLICKED = {"stops": 200, "ms_p99": 100.0, "latched": 0}
 CUT = {"way": "silent", "stopped_s": 0.2, "went_m": 0.01}
 
 
@@ -24,6 +24,8 @@ CUT = {"way": "silent", "stopped_s": 0.2, "went_m": 0.01}
     ({}, {}, {"ms_p99": 100.1}, "within 100.1 ms"),
     ({}, {}, {"ms_p99": float("nan")}, "within nan ms"),
     ({}, {}, {"stops": 199}, "clicked 199 times"),
+    ({}, {}, {"latched": 1}, "1 faults latched"),
+    ({}, {}, {"latched": float("nan")}, "nan faults latched"),
 ])  # fmt: skip
 def test_what_is_beyond_its_bound_is_told(
     journey: dict[str, object], cut: dict[str, object], clicked: dict[str, object], says: str
