@@ -184,7 +184,10 @@ def _commands(daemon: Connections, set_up: SetUp) -> APIRouter:
         left = asyncio.create_task(_left(request))
         try:
             await asyncio.wait((beat, left), return_when=asyncio.FIRST_COMPLETED)
-            return await (beat if beat.done() else daemon.stop())
+            if not left.done():
+                return await beat
+            beat.cancel()  # not sent yet, it would lead on after the stop
+            return await daemon.stop()
         finally:
             beat.cancel()
             left.cancel()

@@ -114,7 +114,7 @@ def test_what_a_page_says_to_type_works(topic: str, stand: Stand) -> None:
             stand.need(needs.strip() or "daemon")
             (stand.folder / "example.py").write_text(text)
             done = stand.shell(f"{sys.executable} example.py")
-            assert done.returncode == 0, done.stderr
+            assert done.returncode == 0, f"{done.stderr}{(stand.folder / 'programs.log').read_text()}"
         elif needs.strip() in ("simulator", "daemon"):
             stand.need("daemon")
             [command] = text.strip().splitlines()
