@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 # Each page, and what it explains.
 TOPICS: dict[str, str] = yaml.safe_load((DOCS / "topics.yaml").read_text(encoding="utf-8"))
+# What stands in the pages that are made from the code, around what is made.
+TEXTS: dict[str, dict[str, Any]] = yaml.safe_load((DOCS / "made.yaml").read_text(encoding="utf-8"))
 
 
 @command("help")
@@ -57,43 +59,22 @@ def faults_page() -> str:
     """Every code a fault can latch with, from the table the cards are made from."""
     from armctl.control.faults import FAULTS
 
-    rows = []
-    for kind in FAULTS:
-        way = (
-            " While that lasts, the arm goes to its rest pose and goes limp there: 3 s after it says so, unless you "
-            "type `armctl stop`; never with `rest_on_strain: false` in the arm's file."
-        )
-        rows.append(
-            f"## {kind.code}\n\n{kind.what[0].upper()}{kind.what[1:]}.{way if kind.to_rest else ''}\n\n"
-            f"*Next:* {kind.remedy}.\n"
-        )
-    intro = (
-        "# Faults\n\nA fault latches: the arm comes to rest, torque stays as it is, and `armctl status` shows this "
-        "card until the cause is gone and you typed `armctl clear`. None hides another: all that are latched are "
-        "shown, the worst first.\n"
-    )
-    return "\n".join([intro, *rows])
+    told = TEXTS["faults"]
+    cards = [
+        f"## {kind.code}\n\n{kind.what[0].upper()}{kind.what[1:]}.{told['to_rest'] if kind.to_rest else ''}\n\n"
+        f"*Next:* {kind.remedy}.\n"
+        for kind in FAULTS
+    ]
+    return "\n".join([told["intro"], *cards])
 
 
 def configuration_page() -> str:
     """Every key with its type, default and bounds, from the types that check the files."""
     from armctl import config
 
-    sections: dict[str, type[BaseModel]] = {
-        "armctl.yaml\n\n`~/.config/armctl/armctl.yaml`, or `/etc/armctl/armctl.yaml` for the service. Every key has a "
-        "default.\n": config.Config,
-        "log:\n": config.LogConfig,
-        "calibration/NAME.yaml\n\nOne file an arm; see `armctl help new-arm`.\n": config.ArmConfig,
-        "robot: a table of one's own, instead of a name\n": config.ChainTable,
-        "robot.dh: one row a joint\n": config.ChainRow,
-        "joints: one entry a servo, from the base up\n": config.JointConfig,
-        "compliance:\n": config.Compliance,
-        "pair: the second servo of a joint, where it has two\n": config.PairConfig,
-        "gripper: the joint that grips, where the arm has one\n": config.GripperConfig,
-        "gripper: or a servo that is none of the joints\n": config.OwnGripper,
-    }
-    intro = "# Configuration\n\nTwo YAML files, checked as a whole when they are read; wrong keys are named.\n"
-    return "\n".join([intro, *(f"## {heading}\n{_keys(model)}" for heading, model in sections.items())])
+    told = TEXTS["configuration"]
+    sections = (f"## {heading}\n{_keys(getattr(config, model))}" for model, heading in told["sections"].items())
+    return "\n".join([told["intro"], *sections])
 
 
 MADE = {"configuration": configuration_page, "faults": faults_page}
