@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from armctl.cli.output import HOLDS, SOCKET, Output, command, millimetres
+from armctl.cli.parameters import tables
 from armctl.cli.tables import joint_table, show_rows
 from armctl.errors import NoDaemon
 from armctl.files import served_socket
@@ -171,22 +172,20 @@ def request(output: Output, method: str, **params: Any) -> None:
     output.answer(state, str(state["state"]))
 
 
-def state_command(
-    name: str, text: str, *, group: click.Group | None = None, after_interrupt: str = ""
-) -> click.Command:
+def state_command(name: str, group: click.Group | None = None) -> click.Command:
     """A command that is one request without parameters; the daemon's method has the words that are typed.
 
-    Args:
-        text: Its help.
-        after_interrupt: What a Ctrl-C leaves behind.
+    Its help stands in the table `states` beside this module.
     """
 
     def ask(output: Output) -> None:
-        output.after_interrupt = after_interrupt
+        output.after_interrupt = HOLDS if name == "park" else ""
         request(output, "_".join(words))
 
     words = (str(group.name), name) if group else (name,)
-    return command(name, SOCKET, group=group, help=f"{text}\n\nExample: armctl {' '.join(words)}")(ask)
+    typed = " ".join(words)
+    text = tables("arm")["states"][typed]
+    return command(name, SOCKET, group=group, help=f"{text}\n\nExample: armctl {typed}")(ask)
 
 
 @click.group("torque")
@@ -197,21 +196,9 @@ def torque_command() -> None:
     """
 
 
-stop_command = state_command("stop", "Stop now: decelerate on the path and hold. Everyone may do this, always.")
-hold_command = state_command("hold", "The same as stop.")
-clear_command = state_command(
-    "clear", "Acknowledge a latched fault, or a notice; refused while a fault's cause lasts, with what to do about it."
-)
-park_command = state_command(
-    "park",
-    "Go slowly to the rest pose, and go limp there. `armctl stop`, or Ctrl-C, keeps the arm where it is.",
-    after_interrupt=HOLDS,
-)
-pause_command = state_command(
-    "pause", "Pause the run: the arm comes to rest on its path. Everyone may do this; `armctl resume` goes on."
-)
-resume_command = state_command("resume", "Go on with a paused run.")
-torque_on = state_command("on", "Switch torque on, softly, at the position the arm has.", group=torque_command)
+stop_command, hold_command, clear_command = map(state_command, ("stop", "hold", "clear"))
+park_command, pause_command, resume_command = map(state_command, ("park", "pause", "resume"))
+torque_on = state_command("on", torque_command)
 
 
 @command("rate", SOCKET)
