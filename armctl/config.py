@@ -15,20 +15,14 @@ from pydantic import Discriminator, Field, Tag, model_validator
 
 from armctl.dynamixel import ax12a, servos
 from armctl.errors import ConfigError
-from armctl.gripper import MAX_GRIP_TICK
-from armctl.gripper import GripperConfig as GripperConfig
-from armctl.gripper import OwnGripper as OwnGripper
-from armctl.links import ChainRow as ChainRow
-from armctl.links import ChainTable as ChainTable
-from armctl.pair import APART_TICKS, Linkage
-from armctl.pair import PairConfig as PairConfig
-from armctl.strict_yaml import NAME_PATTERN as NAME_PATTERN
-from armctl.strict_yaml import Degrees as Degrees
-from armctl.strict_yaml import Frozen as Frozen
-from armctl.strict_yaml import Name as Name
-from armctl.strict_yaml import is_none as is_none
-from armctl.strict_yaml import parse_yaml as parse_yaml
-from armctl.strict_yaml import validate as validate
+from armctl.gripper import MAX_GRIP_TICK, GripperConfig, OwnGripper
+from armctl.links import ChainRow, ChainTable
+from armctl.pair import APART_TICKS, Linkage, PairConfig
+from armctl.strict_yaml import NAME_PATTERN, Degrees, Frozen, Name, is_none, parse_yaml, validate
+
+# What is defined below this module, and may be taken from here: parts of an arm, and how a file is read.
+__all__ = ["ChainRow", "ChainTable", "GripperConfig", "OwnGripper", "PairConfig"]
+__all__ += ["NAME_PATTERN", "Frozen", "Name", "parse_yaml", "validate"]
 
 # The goals and speeds of so many fit into one SYNC_WRITE: 8 bytes, and 5 a servo, of the 250 that the SDK sends.
 MOST_SERVOS = 48
@@ -212,21 +206,17 @@ class ArmConfig(Frozen):
     @classmethod
     def _with_own_gripper(cls, told: Any) -> Any:
         """A gripper with a servo of its own becomes the last joint."""
-        gripper = told.get("gripper") if isinstance(told, dict) else None
-        if (
-            not isinstance(gripper, dict)
-            or "servo_id" not in gripper
-            or not isinstance(told.get("joints"), list | tuple)
-        ):
-            return told
-        try:
-            own = validate(OwnGripper, gripper, "gripper")
-        except ConfigError as error:
-            raise ValueError(str(error)) from None
-        if own.open_tick == own.closed_tick:
-            raise ValueError(f"gripper: open_tick and closed_tick are both {own.open_tick}")
-        joint, gripper = own.as_joint()
-        return told | {"joints": [*told["joints"], joint], "gripper": gripper}
+        match told:
+            case {"joints": [*joints], "gripper": {"servo_id": _} as gripper}:
+                try:
+                    own = validate(OwnGripper, gripper, "gripper")
+                except ConfigError as error:
+                    raise ValueError(str(error)) from None
+                if own.open_tick == own.closed_tick:
+                    raise ValueError(f"gripper: open_tick and closed_tick are both {own.open_tick}")
+                joint, gripper = own.as_joint()
+                return told | {"joints": [*joints, joint], "gripper": gripper}
+        return told
 
     @model_validator(mode="after")
     def _check(self) -> Self:
