@@ -22,6 +22,8 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+import yaml
+
 from armctl.commissioning.arm_file import whole_text
 from armctl.config import NAME_PATTERN
 from armctl.errors import ArmctlError, ConfigError
@@ -30,18 +32,7 @@ from armctl.files import find_arm_file, load_arm, load_config
 SYSTEM = Path("/")
 UNITS = ("armctl.service", "armctl-web.service")
 # Unit -> the one that it is made of, and what it has instead of what.
-DERIVED = {
-    "armctl@.service": ("armctl.service", {
-        "a Dynamixel arm": "the Dynamixel arm %i", "armctl/armctl.": "armctl/%i.",
-        "XDG_DATA_HOME=/var/lib": "XDG_DATA_HOME=/var/lib/armctl/%i",
-    }),
-    "armctl-web-lan.service": ("armctl-web.service", {
-        "on the loopback interface": "in the local network, over TLS", "--now armctl-web`": "--now armctl-web-lan`",
-        "armctl web\n": "armctl web --lan\nStateDirectory=armctl-web-lan\nStateDirectoryMode=0700\n",
-        "RuntimeDirectory=armctl-web": "RuntimeDirectory=armctl-web-lan", "/run/armctl-web/": "/run/armctl-web-lan/",
-        "IPAddressAllow=localhost": "IPAddressAllow=any", "8080": "8443",
-    }),
-}  # fmt: skip
+DERIVED: dict[str, tuple[str, dict[str, str]]] = yaml.safe_load(Path(__file__).with_name("units.yaml").read_bytes())
 # What a line of a unit holds without quotes.
 PLAIN_PATH = r"(?:/[A-Za-z0-9._+-]+)+"
 ETC = Path("etc/armctl")
