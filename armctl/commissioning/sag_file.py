@@ -6,6 +6,8 @@ both in the data folder: nobody writes into a package.
 
 import json
 import logging
+from dataclasses import asdict
+from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Self
 
@@ -24,6 +26,8 @@ _log = logging.getLogger(__name__)
 
 # Learnt models that are remembered.
 MODELS = 10
+# Of a row of a `LagModel`, behind the downstream links.
+COLUMNS = ("friction_rad", "damping_s", "constant_rad")
 
 Row = Annotated[tuple[float, ...], Field(strict=False)]
 Rows = Annotated[tuple[Row, ...], Field(strict=False)]
@@ -51,8 +55,7 @@ class SagFile(Frozen):
     @model_validator(mode="after")
     def _check(self) -> Self:
         n = len(self.gravity_rad_m)
-        of_joints = (*self.gravity_rad_m, self.friction_rad, self.damping_s, self.constant_rad, self.residual_tick)
-        if any(len(row) != n for row in of_joints):
+        if any(len(row) != n for row in (*self.gravity_rad_m, *attrgetter(*COLUMNS)(self), self.residual_tick)):
             raise ValueError(f"every row must have {n} numbers, one a joint")
         return self
 
@@ -82,8 +85,7 @@ def load(config: Config, arm: ArmConfig) -> LagModel | None:
         text = "%s: of calibration %s, the arm has %s; not used"
         _log.warning(text, path, found.calibration_hash, arm.calibration_hash)
         return None
-    columns = (found.friction_rad, found.damping_s, found.constant_rad)
-    rows = np.column_stack([found.gravity_rad_m, *columns]).tolist()
+    rows = np.column_stack([found.gravity_rad_m, *attrgetter(*COLUMNS)(found)]).tolist()
     return LagModel(found.arm_id, found.calibration_hash, tuple(map(tuple, rows)), found.residual_tick, found.lines)
 
 
@@ -96,21 +98,10 @@ def save(config: Config, model: LagModel, *, version: int = 0, made: str = "") -
         ConfigError: it cannot be written there.
     """
     path, rows = path_of(config), np.array(model.rows)
-    n = len(rows)
-    friction, damping, constant = rows[:, n:].T.tolist()
-    told = SagFile(
-        arm_id=model.arm_id,
-        calibration_hash=model.calibration_hash,
-        gravity_rad_m=tuple(map(tuple, rows[:, :n].tolist())),
-        friction_rad=tuple(friction),
-        damping_s=tuple(damping),
-        constant_rad=tuple(constant),
-        residual_tick=model.residual_tick,
-        lines=model.lines,
-        version=version,
-        made=made,
-    )
-    write(path, json.dumps(told.model_dump(mode="json"), indent=1) + "\n")
+    told = asdict(model) | {"gravity_rad_m": rows[:, : len(rows)].tolist(), "version": version, "made": made}
+    told |= zip(COLUMNS, rows[:, len(rows) :].T.tolist(), strict=True)
+    del told["rows"]
+    write(path, json.dumps(SagFile(**told).model_dump(mode="json"), indent=1) + "\n")
     return path
 
 
