@@ -10,7 +10,7 @@ from typing import Any
 
 from armctl.cli.keys import keys
 from armctl.cli.output import SOCKET, Output, command
-from armctl.cli.tables import show_rows
+from armctl.cli.tables import below, show_rows
 from armctl.files import socket_path
 
 
@@ -90,23 +90,12 @@ def show(output: Output, result: dict[str, Any]) -> None:
     runs = [("corrected" if row["corrected"] else "plain", row) for row in result["rows"]]
     runs += [("refined", row) for row in result["refined"]]
     rows = [{**row, "goals": goals, "paper": PRINTED[row["via"]]} for goals, row in runs]
+    told = result | {"best_take_mm": min(take["mean_error_mm"] for take in result["baseline"])}
+    told["ours"] = _seconds(row["duration_s"] for row in rows)
+    told["papers"] = _seconds(row["paper"].duration_s for row in rows)
+    told["report"] = min(result["report"], os.path.relpath(result["report"]), key=len)
     show_rows(output.console, "demo", "Distance of the tool from the line, mean / maximum, mm", rows)
-    best_take_mm = min(take["mean_error_mm"] for take in result["baseline"])
-    replayed = result["replay"]
-    ours, papers = _seconds(row["duration_s"] for row in rows), _seconds(row["paper"].duration_s for row in rows)
-    output.say(
-        f"""\
-The motions take {ours}, the paper's {papers}.
-Plain: goals are the plan's own positions.
-Corrected: goals lead them by how the arm lagged before.
-Refined: one run more, its plan corrected by what the first one showed.
-Predicted: perfect servos. Encoders: what the servos measured, as in the paper.
-True: the tool's real place. Own line: held against its own best line.
-Genetic algorithm: {result["ga"]["mean_error_mm"]:.2f} mm mean, the best take {best_take_mm:.2f} mm;
-    {result["gap_ratio"]:.2%} above the exact optimum of the same genes.
-Replay: {replayed["ticks"]} ticks, {replayed["messages"]} messages, {replayed["mismatches"]} mismatches.
-Report: {min(result["report"], os.path.relpath(result["report"]), key=len)}"""
-    )
+    output.say(below("demo", told))
 
 
 def _seconds(durations_s: Iterable[float]) -> str:

@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from armctl.cli.output import ARM, CONFIG, HOLDS, SOCKET, Output, command
-from armctl.cli.tables import show_rows
+from armctl.cli.tables import below, show_rows
 from armctl.errors import ConfigError
 
 
@@ -75,9 +75,4 @@ def show(output: Output, result: dict[str, Any]) -> None:
     if result["report"] is not None:
         output.say(f"Drawn in {result['report']}")
     unseen = max(one["zero_offset_mm"] for one in result["unseen"].values())
-    output.say(
-        "Before and after are measured by the encoders, in whole ticks, as were the paper's figures. True: the tool's "
-        "real place against the wanted line; own line: against the straight line that fits it best. What the encoders "
-        f"cannot see: zero offsets of half a tick move the tool by about {unseen:.1f} mm; what bending and the "
-        "potentiometers' own errors do is unknown."
-    )
+    output.say(below("experiment", {"unseen": unseen}))

@@ -69,11 +69,21 @@ def _lines(row: Sequence[str], widths: Sequence[int], sides: Sequence[Callable[.
 
 def show_rows(console: Console, table: str, title: str, rows: Iterable[Row]) -> None:
     """Print one of `tables.yaml` with a line for each row of data."""
-    import yaml
-
-    about = yaml.safe_load(TABLES.read_text(encoding="utf-8"))[table]
+    about = _table(table)
     cells = [[_filled(row, *cell) for _, *cell in about["columns"]] for row in rows]
     show_table(console, title, [heading for heading, *_ in about["columns"]], cells, about.get("words", ()))
+
+
+def below(table: str, told: Row) -> str:
+    """What is to be said below one of `tables.yaml`."""
+    return str(_table(table)["below"].format_map(told))
+
+
+def _table(name: str) -> dict[str, Any]:
+    import yaml
+
+    about: dict[str, Any] = yaml.safe_load(TABLES.read_text(encoding="utf-8"))[name]
+    return about
 
 
 def _filled(row: Row, template: str, needed: str | None = None, otherwise: str = "-") -> str:
