@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from armctl.cli.keys import keys
-from armctl.cli.output import Output, arm_option, command
+from armctl.cli.output import Output, command, kept_option
 from armctl.cli.tables import joint_table
 from armctl.errors import ArmctlError
 
@@ -27,7 +27,7 @@ LINE_S = 1.0
 KEYS_HELP = "space: pause   left, right: 5 s back, forward   + -: rate   l: loop   q: leave"
 
 
-PLAYED = arm_option("Which arm --onto-sim plays; the configured one if left out.")
+PLAYED = kept_option("--arm arm_name", help="Which arm --onto-sim plays; the configured one if left out.")
 
 
 @command("replay", PLAYED)

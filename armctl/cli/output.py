@@ -18,9 +18,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from armctl.cli.completion import complete
 from armctl.cli.keys import attended
-from armctl.cli.parameters import parameters, tables
+from armctl.cli.parameters import parameter, parameters, tables
 from armctl.errors import ArmctlError, ConfigError, LogError, NoDaemon, RequestRefused, UnreachableTarget
 from armctl.files import calibration_dirs, load_arm, load_config, served_socket
 
@@ -266,7 +265,7 @@ def _workspace_command(socket: str | None) -> str:
 
 
 def command(
-    name: str, *shared: click.Option, group: click.Group | None = None, **about: Any
+    name: str, *shared: click.Parameter, group: click.Group | None = None, **about: Any
 ) -> Callable[[Callable[..., Any]], click.Command]:
     """Makes a function a command with `--json`; it receives the `Output` as its first argument.
 
@@ -289,37 +288,16 @@ def command(
     return made
 
 
-def kept_option(
-    attribute: str, *names: str, made: Callable[[Any], Any] = lambda value: value, **about: Any
-) -> click.Option:
-    """An option whose value, or what is made of it, stands in the `Output`, under the name of an attribute."""
+def kept_option(words: str, made: Callable[[str], Any] | None = None, **about: Any) -> click.Parameter:
+    """An option of the table `kept`; its value, or what is made of it, stands in the `Output` by the option's name."""
 
-    def keep(ctx: click.Context, _parameter: click.Parameter, value: Any) -> None:
+    def keep(ctx: click.Context, option: click.Parameter, value: Any) -> None:
         if value is not None and value is not False:  # what a group was given stays for its commands
-            setattr(ctx.ensure_object(Output), attribute, made(value))
+            setattr(ctx.ensure_object(Output), str(option.name), made(value) if made else value)
 
-    return click.Option([*names], expose_value=False, callback=keep, **about)
-
-
-def arm_option(text: str) -> click.Option:
-    """The option that names an arm; what it is named for."""
-    return kept_option("arm_name", "--arm", metavar="NAME|FILE", shell_complete=complete("arms"), help=text)
+    return parameter(words, tables("shared")["kept"][words] | about, expose_value=False, callback=keep)
 
 
-JSON = kept_option("json", "--json", is_flag=True, is_eager=True, help="One JSON object on stdout.")
-SOCKET = kept_option("socket", "--socket", metavar="PATH", help="The daemon's socket (ARMCTL_SOCKET).")
-
-
-SERVED = kept_option(
-    "socket",
-    "--arm",
-    made=served_socket,
-    metavar="NAME",
-    shell_complete=complete("services"),
-    help="Of several arms that are services, this one (armctl@NAME).",
-)
-CONFIG = kept_option("config_file", "--config", metavar="FILE", help="Configuration file (ARMCTL_CONFIG).")
-ARM = arm_option("Which calibration file describes the arm.")
-LINK = kept_option("link", "--link", type=click.Path(path_type=Path), help="The simulator's port, as it printed it.")
-BAUD = kept_option("baud", "--baud", type=int, help="Rate of the bus, bit/s.  [default: the configuration's]")
-PORT = kept_option("port", "--port", metavar="PATH", help="Serial port of the arm, or the link of `armctl sim`.")
+JSON, SOCKET, CONFIG = map(kept_option, ("--json", "--socket", "--config config_file"))
+LINK, BAUD, PORT = map(kept_option, ("--link", "--baud", "--port"))
+ARM, SERVED = kept_option("--arm arm_name"), kept_option("--arm socket", served_socket)

@@ -7,6 +7,7 @@ Rules.
    (`completion.py`). Its `type` is one of `KINDS`, a list of choices, a range such as `1..20`, `0..` or `0.1..60.0`
    (`0.5..longest`: see `Seconds`), `list of` one of these, or some with blanks between.
 3. The value `"shared"` stands for that of the same key in the table `shared`, of the same file or of `shared.toml`.
+4. What stands in the table `kept` of `shared.toml` is kept in the `Output`, see `kept_option`.
 
 It is TOML because Python reads it by itself: no command waits for the package that reads YAML.
 """
@@ -37,12 +38,18 @@ def parameters(module: str, command: str) -> list[click.Parameter]:
     for words, about in own.get(command, {}).items():
         if about == "shared":
             about = own.get("shared", {}).get(words) or tables("shared")["shared"][words]
-        more: dict[str, Any] = {"type": _kind(about["type"])} if "type" in about else {}
-        if names := about.get("names"):
-            more["shell_complete"] = complete(names)
-        made = click.Option if words.startswith("-") else click.Argument
-        found.append(made(words.split(), **{key: about[key] for key in about if key != "names"} | more))
+        found.append(parameter(words, about))
     return found
+
+
+def parameter(words: str, about: dict[str, Any], **more: Any) -> click.Parameter:
+    """The argument or option of one row of a table."""
+    if "type" in about:
+        more["type"] = _kind(about["type"])
+    if names := about.get("names"):
+        more["shell_complete"] = complete(names)
+    made = click.Option if words.startswith("-") else click.Argument
+    return made(words.split(), **{key: about[key] for key in about if key != "names"} | more)
 
 
 @cache

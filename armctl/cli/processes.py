@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from armctl.cli.output import ARM, CONFIG, JSON, LINK, PORT, SOCKET, Output, Point, arm_option, command
+from armctl.cli.output import ARM, CONFIG, JSON, LINK, PORT, SOCKET, Output, Point, command, kept_option
 from armctl.cli.parameters import parameters
 from armctl.errors import ConfigError
 from armctl.files import load_arm, read_text, socket_path, tokens_path
@@ -183,7 +183,7 @@ def _simulator(output: Output) -> SimulatorClient:
     return SimulatorClient(control_path((output.link or default_link()).absolute()))
 
 
-WATCHED = arm_option("Calibration of the daemon's arm, if it is not the configured one.")
+WATCHED = kept_option("--arm arm_name", help="Calibration of the daemon's arm, if it is not the configured one.")
 
 
 @command("live", WATCHED, SOCKET, CONFIG)
