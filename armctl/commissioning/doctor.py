@@ -11,6 +11,7 @@ import os
 import platform
 import shutil
 import sys
+import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,15 +40,8 @@ CYCLES = 10
 # Of the period; the rest is for what the bus does not do, and for repetitions.
 CYCLE_SHARE = 0.5
 
-ERROR_REMEDIES = {
-    ErrorBit.VOLTAGE: "measure the supply at the servo under load: 9 to 12 V",
-    ErrorBit.ANGLE_LIMIT: "turn the limp joint into its angle limits by hand",
-    ErrorBit.OVERHEAT: "let it cool down, then look for what loads it",
-    ErrorBit.RANGE: "switch its power off and on; a program sends it values out of range",
-    ErrorBit.CHECKSUM: "check the data wire and the common ground; packets arrive damaged",
-    ErrorBit.OVERLOAD: "support the arm, relieve the joint, then switch its power off and on",
-    ErrorBit.INSTRUCTION: "switch its power off and on; another program sends it unknown instructions",
-}
+# What helps where a check is not ok, by its name; for `error_bits` by the bit's.
+REMEDIES = tomllib.loads(Path(__file__).with_name("doctor.toml").read_text("utf-8"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +82,7 @@ def check_host(surroundings: Surroundings) -> list[Check]:
     disk_fix = f"delete old logs in {folder}" if writable else f"sudo chown $USER {folder}"
     return [
         _check("armctl", True, f"{__version__} on Python {version}"),
-        _check("python", sys.version_info >= MIN_PYTHON, version, "install Python 3.11 or newer"),
+        _check("python", sys.version_info >= MIN_PYTHON, version),
         _check("disk", writable and free >= surroundings.free_bytes, disk, disk_fix),
         _check("daemon", True, f"runs: {surroundings.daemon}" if surroundings.daemon else "does not run"),
     ]
@@ -160,7 +154,7 @@ def check_servos(
 
 
 def _check(name: str, ok: bool, value: str, fix: str = "", servo_id: int | None = None) -> Check:
-    return Check(name, ok, value, "" if ok else fix, servo_id)
+    return Check(name, ok, value, "" if ok else fix or REMEDIES[name], servo_id)
 
 
 def _port_name(path: Path, by_id: Path = Path("/dev/serial/by-id")) -> str:
@@ -250,10 +244,9 @@ def _servo_checks(
     hottest, mend = stored(ax12a.TEMPERATURE_LIMIT), f"armctl servo mend {servo_id}{options}"
     volts, heat = now(ax12a.PRESENT_VOLTAGE) / 10.0, now(ax12a.PRESENT_TEMPERATURE)
     error, tripped = status.error | table.error, now(ax12a.TORQUE_LIMIT) == 0
-    error_fix = next((remedy for bit, remedy in ERROR_REMEDIES.items() if error & bit), "")
+    error_fix = next((REMEDIES["error_bits"][bit] for bit in ErrorBit.names(error)), "")
     torque = "torque limit 0: it has shut itself down" if tripped else "on" if now(ax12a.TORQUE_ENABLE) else "off"
     volts_fix = f"give the servos {VOLTAGE_V[0]:.0f} to {VOLTAGE_V[1]:.1f} V"
-    heat_fix = "support the arm, `armctl release`, and let it cool down"
     rows = [
         ("model", not wrong, str(model), f"wanted {wrong}"),
         ("firmware", True, str(stored(ax12a.FIRMWARE)), ""),
@@ -264,9 +257,9 @@ def _servo_checks(
         ("shutdown", ax12a.SHUTDOWN not in unfit, _bits(mask), mend),
         ("temperature_limit", ax12a.TEMPERATURE_LIMIT not in unfit, f"{hottest} degC", mend),
         ("voltage", VOLTAGE_V[0] <= volts <= VOLTAGE_V[1], f"{volts:.1f} V", volts_fix),
-        ("temperature", heat < HOT_DEGC, f"{heat} degC", heat_fix),
+        ("temperature", heat < HOT_DEGC, f"{heat} degC", ""),
         ("error_bits", not error, _bits(error), error_fix),
-        ("torque", not tripped, torque, "support the arm, relieve the joint, then switch its power off and on"),
+        ("torque", not tripped, torque, ""),
     ]
     return [_check(*row, servo_id) for row in rows]
 
@@ -276,8 +269,7 @@ def _cycle_check(bus: ServoBus, period_s: float) -> Check:
     cycle_s = max(bus.read_sample().bus_us for _ in range(CYCLES)) / 1e6
     best_Hz = 1.0 / max(cycle_s, 1e-6)
     value = f"{cycle_s * 1000.0:.1f} ms a cycle of {period_s * 1000.0:.0f} ms, {best_Hz:.0f} Hz at best"
-    fix = "mend adapter_latency and return_delay first, or raise period_s in the configuration"
-    return _check("cycle_rate", cycle_s <= CYCLE_SHARE * period_s, value, fix)
+    return _check("cycle_rate", cycle_s <= CYCLE_SHARE * period_s, value)
 
 
 def _bits(value: int) -> str:
