@@ -12,8 +12,8 @@ Rules.
 from __future__ import annotations
 
 import json
-import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from typing import TYPE_CHECKING, Any
@@ -149,14 +149,12 @@ class Stream:
             from foxglove.websocket import ServerListener
         except ImportError:
             raise ArmctlError("the live view needs foxglove-sdk; install it with: pip install 'armctl[live]'") from None
-        self._wanted: set[str] = set()
-        self._lock = threading.Lock()
-        stream = self
+        # Filled by a thread of the SDK.
+        wanted = self._wanted = deque[str]()
 
         class Listener(ServerListener):
             def on_subscribe(self, client: Viewer, channel: ChannelView) -> None:
-                with stream._lock:
-                    stream._wanted.add(channel.topic)
+                wanted.append(channel.topic)
 
         context = self._context = foxglove.Context()  # kept: channels of a context that is gone are not announced
         self._channels: dict[str, Channel] = {
@@ -186,9 +184,7 @@ class Stream:
 
     def newly_wanted(self) -> set[str]:
         """Topics somebody has subscribed to since the last call."""
-        with self._lock:
-            wanted, self._wanted = self._wanted, set()
-        return wanted
+        return {self._wanted.popleft() for _ in range(len(self._wanted))}
 
     def close(self) -> None:
         self._server.stop()
