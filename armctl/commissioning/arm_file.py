@@ -71,15 +71,13 @@ def drawn(points: np.ndarray, floor_m: float) -> str:
     u, v = np.append(level, level[0]), np.append(points[:, 2], floor_m)
     # A character is twice as high as it is wide.
     scale = max(np.ptp(u) / (WIDTH - 1), np.ptp(v) / (2 * (HEIGHT - 1)), 1e-6)
-    columns, rows = np.round((u - u.min()) / scale).astype(int), np.round((v.max() - v) / (2 * scale)).astype(int)
-    page = [[" "] * WIDTH for _ in range(int(rows.max()) + 1)]
-    page[rows[-1]] = [FLOOR] * WIDTH
-    for k in range(len(points) - 1):
-        for share in np.linspace(0.0, 1.0, WIDTH):
-            place = [round(float(a[k] + share * (a[k + 1] - a[k]))) for a in (rows, columns)]
-            page[place[0]][place[1]] = LINK
-    for k in range(len(points)):
-        page[rows[k]][columns[k]] = TOOL if k == len(points) - 1 else JOINT
+    # Rows and columns of each end, and of the floor.
+    places = np.round([(v.max() - v) / (2 * scale), (u - u.min()) / scale]).astype(int)
+    page = np.full((places[0].max() + 1, WIDTH), " ")
+    page[places[0, -1]] = FLOOR
+    page[tuple(np.linspace(places[:, :-2], places[:, 1:-1], WIDTH, axis=-1).round().astype(int))] = LINK
+    page[tuple(places[:, :-1])] = JOINT
+    page[tuple(places[:, -2])] = TOOL
     return "\n".join("".join(line).rstrip() for line in page)
 
 
