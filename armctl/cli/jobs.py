@@ -245,12 +245,7 @@ def play_command(output: Output, name: str, **how: Any) -> None:
     of_file = "/" in name or file.suffix in (".csv", ".mcap")
     request = validate(PlayRequest, {"motion": _motion_in(file), **how} if of_file else {"name": name, **how}, "play")
     result = output.carry_out("playing", "play", request, kept=RECORDED)
-    output.answer(
-        result,
-        f"{result['recording']}: {off(result, 'where the tool was taught to be at the same progress')}, in "
-        f"{result['duration_s']:.1f} s (by the encoders; {result['path_mean_error_mm']:.1f} and "
-        f"{result['path_max_error_mm']:.1f} mm off the taught path)",
-    )
+    output.answer(result, off=off(result, "where the tool was taught to be at the same progress"))
 
 
 def _motion_in(file: Path) -> TaughtMotion:
@@ -263,10 +258,6 @@ def _motion_in(file: Path) -> TaughtMotion:
     else:
         motion = recordings.taught(recordings.load(file))
     if (numbers := len(motion.time_s) * (len(motion.joints) + 1)) > MOST_NUMBERS:
-        raise ConfigError(
-            str(file),
-            "time_s",
-            f"{len(motion.time_s)} rows are {numbers} numbers, at most {MOST_NUMBERS} reach the daemon at once",
-            "leave rows out, or play a recording by its name",
-        )
+        much = f"{len(motion.time_s)} rows are {numbers} numbers, at most {MOST_NUMBERS} reach the daemon at once"
+        raise ConfigError(str(file), "time_s", much, "leave rows out, or play a recording by its name")
     return motion

@@ -164,11 +164,7 @@ def recover(output: Output, log: Path) -> None:
     from armctl.recording import recover as recovery
 
     result = recovery.recover(log)
-    output.answer(
-        asdict(result) | {"path": str(result.path)},
-        f"{result.recovered_messages} messages recovered into {result.path}\n"
-        f"lost: {result.lost_s:.1f} s, and what was not yet written (at most 1 s)",
-    )
+    output.answer(asdict(result) | {"path": str(result.path)})
 
 
 @command("export", group=log_command)

@@ -31,11 +31,7 @@ def move_command(output: Output, deg: bool, **asked: Any) -> None:
         if deg and asked[name] is not None:
             asked[name] = (*asked[name][:metres], *map(math.radians, asked[name][metres:]))
     result = output.carry_out("moving", "move", validate(MoveRequest, asked, "move"))
-    output.answer(
-        result,
-        f"{result['recording']}: at {millimetres(result['position_m'])} after {result['duration_s']:.1f} s, "
-        f"{result['position_error_mm']:.1f} mm off (by the encoders)",
-    )
+    output.answer(result, place=millimetres(result["position_m"]))
 
 
 # Key -> where it leads the tool; how long after it was pressed last, as terminals repeat a key that is held down.
@@ -76,10 +72,7 @@ def jog_command(output: Output, joint: str | None, axis: str | None, speed: floa
             client.call(method, **params)
         status = client.call("status")
     position_m = status["tool"]["position_m"]
-    output.answer(
-        {"state": status["state"], "position_m": position_m},
-        f"{status['state']}, tool at {millimetres(position_m)}",
-    )
+    output.answer({"state": status["state"], "position_m": position_m}, place=millimetres(position_m))
 
 
 def _lead(way: str, speed_m_s: float) -> list[float]:
@@ -121,11 +114,7 @@ def path_command(output: Output, file: Path, **how: Any) -> None:
 
     request = path_from_text(read_text(file, "path"), str(file), **how)
     result = output.carry_out("following the path", "path", request, kept=RECORDED)
-    output.answer(
-        result,
-        f"{result['recording']}: {off(result, 'the path as the file has it')} in {result['duration_s']:.1f} s (by the "
-        f"encoders; rounding its corners leads {result['predicted_max_error_mm']:.1f} mm off)",
-    )
+    output.answer(result, off=off(result, "the path as the file has it"))
 
 
 @command("reach", SOCKET)
@@ -145,11 +134,7 @@ def reach_command(output: Output, grip: bool, let_go: bool, **way: Any) -> int:
     gripper = "grip" if grip else "let_go" if let_go else "stay"
     result = output.carry_out("reaching", "reach", validate(ReachRequest, {**way, "gripper": gripper}, "reach"))
     words = f"; gripped: {'yes' if result['gripped'] else 'nothing'}" if grip else ""
-    output.answer(
-        result,
-        f"{result['recording']}: at {millimetres(result['position_m'])}, {result['position_error_mm']:.1f} mm off "
-        f"(by the encoders){words}",
-    )
+    output.answer(result, place=millimetres(result["position_m"]), found=words)
     return 1 if grip and not result["gripped"] else 0
 
 

@@ -133,16 +133,20 @@ class Output:
             print(json.dumps(data, allow_nan=False), flush=True)
         return self.json
 
-    def answer(self, data: dict[str, Any], shown: str | Callable[[], object]) -> None:
-        """Print `data` if JSON was asked for, else say a text, or call what shows it; and what may come next."""
+    def answer(self, data: dict[str, Any], shown: str | Callable[[], object] | None = None, **told: Any) -> None:
+        """Print `data` if JSON was asked for, else say a text, or call what shows it; and what may come next.
+
+        Args:
+            shown: None: what `said.toml` has for the command, filled in from the data and what is `told`.
+        """
         if self.result(data):
             return
-        if callable(shown):
-            shown()
-        elif shown:
-            self.say(shown)
         context = click.get_current_context(silent=True)
         asked = context.command_path.removeprefix("armctl ") if context else ""
+        if callable(shown):
+            shown()
+        elif text := tables("said")["said"][asked].format_map(data | told) if shown is None else shown:
+            self.say(text)
         if following := tables("next")["next"].get(asked):
             self.say(f"next: {following.format_map(data)}")
 
