@@ -84,10 +84,8 @@ def create_app(
         openapi_url="/api/openapi.json",
         redirect_slashes=False,
         lifespan=lifespan,
+        exception_handlers={ArmctlError: _refused, RequestValidationError: _invalid, HTTPException: _not_served},
     )
-    app.add_exception_handler(ArmctlError, _refused)
-    app.add_exception_handler(RequestValidationError, _invalid)
-    app.add_exception_handler(HTTPException, _not_served)
     guard = Guard(app, tokens=Tokens(tokens_path(config_file), token), port=port, names=names)
     app.include_router(_live(daemon, guard))
     for routes in (_commands(daemon, set_up), set_up.routes(), files.routes()):
@@ -96,21 +94,18 @@ def create_app(
     return app, guard
 
 
-async def _refused(_: Request, error: Exception) -> Response:
-    assert isinstance(error, ArmctlError)
+async def _refused(_: Request, error: ArmctlError) -> Response:
     status = next((status for kind, status in STATUSES.items() if isinstance(error, kind)), 409)
     data = error_data(error)  # the socket's codes
     return _error(status, data["code"], str(error), data["reasons"])
 
 
-async def _invalid(_: Request, error: Exception) -> Response:
-    assert isinstance(error, RequestValidationError)
+async def _invalid(_: Request, error: RequestValidationError) -> Response:
     reasons = [f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}" for fault in error.errors()]
     return _error(422, "INVALID", "; ".join(reasons), reasons)
 
 
-async def _not_served(request: Request, error: Exception) -> Response:
-    assert isinstance(error, HTTPException)
+async def _not_served(request: Request, error: HTTPException) -> Response:
     code = {404: "NOT_FOUND", 405: "WRONG_METHOD"}.get(error.status_code, "REFUSED")
     reason = f"{request.method} {request.url.path[:100]} is not served; what is stands at /api/openapi.json"
     return _error(error.status_code, code, reason, [reason], error.headers)
