@@ -157,18 +157,13 @@ class Stream:
                 wanted.append(channel.topic)
 
         context = self._context = foxglove.Context()  # kept: channels of a context that is gone are not announced
-        self._channels: dict[str, Channel] = {
-            topic.name: foxglove.Channel(
-                topic.name,
-                schema=foxglove.Schema(
-                    name=topic.type, encoding="ros2msg", data=schema_text(short_name(topic.type)).encode()
-                ),
-                message_encoding="cdr",
-                metadata=topic.metadata,
-                context=context,
+        self._channels: dict[str, Channel] = {}
+        for topic in PUBLISHED.values():
+            text = schema_text(short_name(topic.type)).encode()
+            schema = foxglove.Schema(name=topic.type, encoding="ros2msg", data=text)
+            self._channels[topic.name] = foxglove.Channel(
+                topic.name, schema=schema, message_encoding="cdr", metadata=topic.metadata, context=context
             )
-            for topic in PUBLISHED.values()
-        }
         try:
             self._server = foxglove.start_server(
                 name="armctl", host=HOST, port=port, capabilities=[], server_listener=Listener(), context=context
