@@ -41,10 +41,10 @@ def calibration_dirs() -> tuple[Path, ...]:
     return (own, Path("/etc/armctl/calibration"), *shipped_dirs())
 
 
-def shipped_dirs() -> tuple[Path, ...]:
-    """Where the arms lie that come with armctl."""
+def shipped_dirs(name: str = "calibration") -> tuple[Path, ...]:
+    """Where the arms lie that come with armctl, or what else does: in the package, or in a checkout."""
     package = Path(__file__).resolve().parent
-    return package / "calibration", package.parent / "calibration"
+    return package / name, package.parent / name
 
 
 def find_arm_file(arm: str) -> Path:

@@ -218,13 +218,9 @@ def doctor_command(output: Output) -> int:
     daemon = ""
     with contextlib.suppress(NoDaemon), output.client(timeout_s=2.0) as client:
         daemon = f"{client.socket_file}"
-    options = {"--port": output.port, "--baud": output.baud, "--config": output.config_file}
-    surroundings = doctor.Surroundings(
-        daemon=daemon,
-        log_dir=data_dir(config) / "logs",
-        free_bytes=config.log.free_bytes,
-        options="".join(f" {option} {shlex.quote(str(value))}" for option, value in options.items() if value),
-    )
+    given = {"--port": output.port, "--baud": output.baud, "--config": output.config_file}
+    options = "".join(f" {option} {shlex.quote(str(value))}" for option, value in given.items() if value)
+    surroundings = doctor.Surroundings(daemon, data_dir(config) / "logs", config.log.free_bytes, options)
     checks = doctor.check_host(surroundings) + doctor.check_port(bus, surroundings)
     if bus.is_open:
         with contextlib.closing(bus), output.progress("asking every id", 254.0) as show:
@@ -348,10 +344,7 @@ def _carry_out(output: Output, acts: Sequence[Act], root: Path, dry_run: bool, d
         told.append({"act": str(act), "due": due})
         output.say(("would " if dry_run and due else "") + str(act) + ("" if due else "  (nothing to do)"))
 
-    if dry_run:
-        for act in acts:
-            tell(act, act.due(root))
-    else:
-        carry_out(acts, root, tell)
+    carry_out(acts, root, tell, dry_run=dry_run)
+    if not dry_run:
         output.say(done)
     output.result({"acts": told, "done": not dry_run})

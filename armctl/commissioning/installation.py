@@ -27,7 +27,7 @@ import yaml
 from armctl.commissioning.arm_file import whole_text
 from armctl.config import NAME_PATTERN
 from armctl.errors import ArmctlError, ConfigError
-from armctl.files import find_arm_file, load_arm, load_config
+from armctl.files import find_arm_file, load_arm, load_config, shipped_dirs
 
 SYSTEM = Path("/")
 UNITS = ("armctl.service", "armctl-web.service")
@@ -277,17 +277,18 @@ def _configuration(kind: str) -> Path:
     return Path("etc") / f"{kind}.d" / "armctl.conf"
 
 
-def carry_out(acts: Iterable[Act], root: Path, tell: Callable[[Act, bool], None]) -> None:
+def carry_out(acts: Iterable[Act], root: Path, tell: Callable[[Act, bool], None], *, dry_run: bool = False) -> None:
     """Do what is due.
 
     Args:
         tell: Called with every act before it is done, and whether it is due.
+        dry_run: Only tell.
     Raises:
         InstallationFailed: one could not be done; those before it are.
     """
     for act, due in [(act, act.due(root)) for act in acts]:
         tell(act, due)
-        if due:
+        if due and not dry_run:
             try:
                 act.do(root)
             except OSError as error:
@@ -328,8 +329,7 @@ def usb_adapter(port: Path, sysfs: Path) -> dict[str, str]:
 
 def template(name: str) -> str:
     """A file of `systemd/`, from the package or from a checkout."""
-    package = Path(__file__).resolve().parent.parent
-    for folder in (package / "systemd", package.parent / "systemd"):
+    for folder in shipped_dirs("systemd"):
         if (folder / name).is_file():
             return (folder / name).read_text(encoding="utf-8")
     raise InstallationFailed(f"{name} is missing from this installation of armctl; install it again")
