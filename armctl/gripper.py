@@ -36,11 +36,7 @@ class OwnGripper(Frozen):
     def as_joint(self) -> tuple[dict[str, Any], dict[str, Any]]:
         """The joint that it is, and what `gripper` then says."""
         closed_deg = math.degrees((self.closed_tick - self.open_tick) * ax12a.TICK_RAD)
-        joint: dict[str, Any] = {
-            "name": self.name,
-            "servo_id": self.servo_id,
-            "zero_tick": float(self.open_tick),
-        }
+        joint: dict[str, Any] = {"name": self.name, "servo_id": self.servo_id, "zero_tick": float(self.open_tick)}
         if self.pair is not None:
             joint["pair"] = self.pair.model_dump(exclude_unset=True)
         joint |= {"limits_deg": sorted((0.0, closed_deg)), "rest_deg": 0.0}

@@ -56,16 +56,10 @@ def show(output: Output, result: dict[str, Any]) -> None:
     from armctl.report.line import PRINTED
 
     rounds = {row["via"]: corrected["round"] for corrected in result["refined"] for row in corrected["rows"]}
-    rows = [
-        {
-            **row,
-            "before": before,
-            "rounds": rounds[row["via"]],
-            "repeated": row["runs"] > 1,
-            "paper": PRINTED.get(row["via"]),
-        }
-        for row, before in zip(result["rows"], result["before"], strict=True)
-    ]
+    rows = []
+    for row, before in zip(result["rows"], result["before"], strict=True):
+        corrected = {"before": before, "rounds": rounds[row["via"]], "repeated": row["runs"] > 1}
+        rows.append({**row, **corrected, "paper": PRINTED.get(row["via"])})
     show_rows(output.console, "experiment", "Distance of the tool from the line, mean / maximum, mm", rows)
     if (ga := result["ga"]) is not None:
         output.say(
