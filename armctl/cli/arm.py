@@ -13,7 +13,7 @@ import click
 
 from armctl.cli.output import HOLDS, SOCKET, Output, command, millimetres
 from armctl.cli.parameters import tables
-from armctl.cli.tables import joint_table, show_rows
+from armctl.cli.tables import joint_cells, joint_table, show_rows
 from armctl.errors import NoDaemon
 from armctl.files import served_socket
 
@@ -40,11 +40,9 @@ def status_command(output: Output, every: bool) -> None:
 
 
 def _served(output: Output, name: str) -> dict[str, Any]:
-    try:
-        with output.client(socket=served_socket(name), timeout_s=2.0) as client:
-            return {"arm": name, **client.call("status")}
-    except NoDaemon:
-        return {"arm": name, "state": "unreachable"}
+    with suppress(NoDaemon), output.client(socket=served_socket(name), timeout_s=2.0) as client:
+        return {"arm": name, **client.call("status")}
+    return {"arm": name, "state": "unreachable"}
 
 
 @command("watch", SOCKET)
@@ -80,22 +78,14 @@ def picture(snapshot: dict[str, Any]) -> RenderableType:
     from rich.console import Group
     from rich.text import Text
 
-    columns = ("id", "deg", "limits", "deg/s", "load %", "V", "degC", "torque", "age s")
-    joints = joint_table(*columns, left=("limits",))
+    headings = ("deg/s", "load %", "V", "degC")
+    joints = joint_table("id", "deg", "limits", *headings, "torque", "age s", left=("limits",))
     for joint in snapshot["joints"]:
-        read: tuple[str | Text, ...] = ("-", "", *["-"] * 5)
-        if joint["position_rad"] is not None:
-            read = (
-                f"{math.degrees(joint['position_rad']):.1f}",
-                _place(joint),
-                f"{math.degrees(joint['velocity_rad_s']):.0f}",
-                f"{joint['load_ratio'] * 100.0:.0f}",
-                f"{joint['voltage_V']:.1f}",
-                f"{joint['temperature_degC']:.0f}",
-                "on" if joint["torque_enabled"] else "off",
-            )
+        deg, *others = joint_cells(joint, ("deg", *headings))
+        place = "" if joint["position_rad"] is None else _place(joint)
+        torque = {None: "-", True: "on", False: "off"}[joint["torque_enabled"]]
         age = "never" if joint["age_s"] is None else f"{joint['age_s']:.2f}"
-        joints.add_row(joint["name"], str(joint["servo_id"]), *read, age)
+        joints.add_row(joint["name"], str(joint["servo_id"]), deg, place, *others, torque, age)
     speed_m_s = None if snapshot["tool"] is None else snapshot["tool"]["speed_m_s"]
     limit_m_s = snapshot["tool_speed_limit_m_s"]
     hurried = snapshot["state"] == "teaching" and (speed_m_s or 0.0) > limit_m_s

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from armctl.cli.keys import keys
 from armctl.cli.output import Output, command, kept_option
-from armctl.cli.tables import joint_table
+from armctl.cli.tables import QUANTITIES, joint_cells, joint_table, number
 from armctl.errors import ArmctlError
 
 if TYPE_CHECKING:
@@ -147,18 +147,10 @@ def picture(timeline: Timeline, player: Player) -> RenderableType:
     from rich.text import Text
 
     i = timeline.index(player.at_s)
-    joints = joint_table("deg", "goal", "deg/s", "load %", "V", "degC", "torque")
+    joints = joint_table(*QUANTITIES, "torque")
     for j, name in enumerate(timeline.arm.joint_names):
-        joints.add_row(
-            name,
-            _number(math.degrees(timeline.position_rad[i, j]), 1),
-            _number(math.degrees(timeline.goal_rad[i, j]), 1),
-            _number(math.degrees(timeline.velocity_rad_s[i, j]), 0),
-            _number(timeline.load_ratio[i, j] * 100.0, 0),
-            _number(timeline.voltage_V[i, j], 1),
-            _number(timeline.temperature_degC[i, j], 0),
-            "on" if timeline.torque_enabled[i, j] else "off",
-        )
+        read = {quantity: getattr(timeline, quantity)[i, j] for quantity, *_ in QUANTITIES.values()}
+        joints.add_row(name, *joint_cells(read, QUANTITIES), "on" if timeline.torque_enabled[i, j] else "off")
     fault = timeline.fault(i)
     now_ns = timeline.start_ns + round(player.at_s * 1e9)
     happened = [event for event in timeline.happenings if event.time_ns <= now_ns][-EVENTS_SHOWN:]
@@ -178,14 +170,10 @@ def picture(timeline: Timeline, player: Player) -> RenderableType:
 def line(timeline: Timeline, at_s: float) -> str:
     """One frame as a line of text."""
     i = timeline.index(at_s)
-    angles = " ".join(f"{_number(math.degrees(q), 1):>7}" for q in timeline.position_rad[i].tolist())
+    angles = " ".join(f"{number(q, math.degrees(1.0), 1):>7}" for q in timeline.position_rad[i].tolist())
     fault = f"  {timeline.fault(i)}" if timeline.fault(i) else ""
     return f"{at_s:8.1f} s  {timeline.state(i):<10} {angles} deg  tool {_tool(timeline, i)}{fault}"
 
 
 def _tool(timeline: Timeline, i: int) -> str:
-    return ", ".join(_number(value * 1000.0, 1) for value in timeline.tool[i, :3].tolist()) + " mm"
-
-
-def _number(value: float, digits: int) -> str:
-    return "-" if value != value else f"{value:.{digits}f}"
+    return ", ".join(number(value, 1000.0, 1) for value in timeline.tool[i, :3].tolist()) + " mm"

@@ -8,6 +8,7 @@ Rules.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from itertools import chain, zip_longest
 from pathlib import Path
@@ -23,6 +24,15 @@ Row = Mapping[str, Any]
 TABLES = Path(__file__).with_name("tables.yaml")
 # Of a joint, in a picture.
 WIDEST_NAME = 14
+# What a picture tells of a joint, by the heading: the quantity, what it is multiplied by, and digits.
+QUANTITIES = {
+    "deg": ("position_rad", math.degrees(1.0), 1),
+    "goal": ("goal_rad", math.degrees(1.0), 1),
+    "deg/s": ("velocity_rad_s", math.degrees(1.0), 0),
+    "load %": ("load_ratio", 100.0, 0),
+    "V": ("voltage_V", 1.0, 1),
+    "degC": ("temperature_degC", 1.0, 0),
+}
 # Characters between two columns, the first that fits is taken.
 GAPS = (3, 2, 1)
 
@@ -106,6 +116,17 @@ def joint_table(*columns: str, left: Collection[str] = ()) -> Table:
     for column in columns:
         joints.add_column(column, justify="left" if column in left else "right", no_wrap=True, overflow="fold")
     return joints
+
+
+def joint_cells(read: Row, headings: Iterable[str]) -> list[str]:
+    """What is told of a joint below some headings of `QUANTITIES`."""
+    quantities = (QUANTITIES[heading] for heading in headings)
+    return [number(read[name], factor, digits) for name, factor, digits in quantities]
+
+
+def number(value: float | None, factor: float, digits: int) -> str:
+    """A number as a picture shows it; a dash where it is not known."""
+    return "-" if value is None or math.isnan(value) else f"{value * factor:.{digits}f}"
 
 
 def layout(cells: Sequence[Sequence[str]], worded: Sequence[bool], total: int) -> tuple[int, list[int]]:
