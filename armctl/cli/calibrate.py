@@ -16,7 +16,7 @@ import click
 
 from armctl.cli.output import ARM, BAUD, CONFIG, PORT, SOCKET, Output, command, millimetres
 from armctl.cli.setup import AtTerminal, opened
-from armctl.cli.tables import show_table
+from armctl.cli.tables import show_rows, show_table
 from armctl.errors import RequestRefused
 from armctl.files import load_arm
 
@@ -102,8 +102,7 @@ def calibrate_command(
         return
     if fit is not None:
         show_fit(output, fit)
-    changes = [(change["key"], str(change["before"]), str(change["after"])) for change in result["changes"]]
-    show_table(output.console, "Changed", ("key", "before", "after"), changes, words=("key",))
+    show_rows(output.console, "changes", "Changed", result["changes"])
     was = f" (before: {kept})" if kept else ""
     output.say(f"written: {path}{was}\nuse it: armctl daemon --arm {name if out is None else out}")
 
