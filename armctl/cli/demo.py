@@ -4,7 +4,7 @@ import os
 import signal
 import sys
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -76,12 +76,10 @@ def _ending_all() -> Iterator[None]:
     def leave(number: int, _frame: object) -> None:
         raise SystemExit(128 + number)
 
-    before = {number: signal.signal(number, leave) for number in endings() if number != signal.SIGINT}
-    try:
+    with ExitStack() as cleanup:
+        for number in set(endings()) - {signal.SIGINT}:
+            cleanup.callback(signal.signal, number, signal.signal(number, leave))
         yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def show(output: Output, result: dict[str, Any]) -> None:

@@ -128,16 +128,15 @@ def optimize_command(
     request = validate(OptimizeRequest, {**line, **how}, "optimize")
     output.after_interrupt = "the optimisation has ended, and no plan was written; the arm was not moved"
     with output.progress("optimising", PROFILES[profile].generations) as show:
+
+        def tell(told: dict[str, Any]) -> None:
+            show(told["generation"] + 1, f"{told['best']:.3f} mm")
+
         try:
             if any("/" in recording for recording in recordings):
                 raise NoDaemon  # files by path need no daemon
             with output.client() as client:
-                result = client.call(
-                    "optimize",
-                    recordings=recordings,
-                    on_progress=lambda p: show(p["generation"] + 1, f"{p['best']:.3f} mm"),
-                    **request.model_dump(),
-                )
+                result = client.call("optimize", on_progress=tell, recordings=recordings, **request.model_dump())
         except NoDaemon:
             result = _optimize_here(output, recordings, request, lambda g, best, _mean: show(g + 1, f"{best:.3f} mm"))
     (plan,) = result["plans"]

@@ -10,7 +10,7 @@ import termios
 import time
 import tty
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any, TextIO
 
 _ARROWS = {b"D": "left", b"C": "right", b"A": "up", b"B": "down"}
@@ -23,10 +23,9 @@ def attended(stream: TextIO) -> bool:
 
 
 def _in_foreground(fd: int) -> bool:
-    try:
+    with suppress(OSError):
         return os.tcgetpgrp(fd) == os.getpgrp()
-    except OSError:  # not the terminal that controls this process: there is no job control, and keys may be read
-        return True
+    return True  # not the terminal that controls this process: there is no job control, and keys may be read
 
 
 class TerminalKeys:

@@ -104,11 +104,8 @@ def ik_command(
     found = solve(robot, target, method=method, present=present, **asked)
     solutions = found.solutions if every else found.solutions[:1]
     keys = ("q_rad", "position_error_m", "orientation_error_rad", "within_limits")
-    answer = {
-        "reachable": found.reachable,
-        "least_position_error_m": found.least_position_error_m,
-        "solutions": [{key: getattr(one, key) for key in keys} for one in solutions],
-    }
+    answer: dict[str, Any] = {key: getattr(found, key) for key in ("reachable", "least_position_error_m")}
+    answer["solutions"] = [{key: getattr(one, key) for key in keys} for one in solutions]
     output.answer(answer, lambda: show_solutions(output, found, solutions, deg))
 
 

@@ -91,9 +91,8 @@ def setup_command(output: Output, arm_file: str | None, answers: Path | None) ->
     arm, path = load_arm(kind), active_path(kind)
     if arm.pairs:
         text = "two servos on one joint turn together, which no question here tells apart"
-        raise ConfigError(
-            kind, "pair", text, "copy its file, give its servos their ids, then `armctl calibrate --pairs`"
-        )
+        remedy = "copy its file, give its servos their ids, then `armctl calibrate --pairs`"
+        raise ConfigError(kind, "pair", text, remedy)
     name = arm.arm_id
     if path.resolve() != find_arm_file(kind).resolve():  # it comes with armctl; yours gets a name of its own
         name = person.ask("name", "what shall yours be called? A word, such as my-arm")
