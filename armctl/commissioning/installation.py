@@ -19,6 +19,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -219,18 +220,16 @@ def _settings(arm: str | None, root: Path) -> tuple[File, File]:
 
 
 def _belongs(user: str) -> bool:
-    try:
+    with suppress(KeyError):
         return user in grp.getgrnam("armctl").gr_mem
-    except KeyError:
-        return False
+    return False
 
 
 def _said(*command: str) -> str:
     """What systemctl prints; nothing where there is none."""
-    try:
+    with suppress(OSError, subprocess.TimeoutExpired):
         return subprocess.run(("systemctl", *command), capture_output=True, text=True, timeout=60).stdout
-    except (OSError, subprocess.TimeoutExpired):
-        return ""
+    return ""
 
 
 def _running(root: Path) -> list[str]:

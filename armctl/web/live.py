@@ -15,7 +15,7 @@ import json
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import closing
+from contextlib import closing, suppress
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -227,7 +227,6 @@ def serve(
 
 def _reconnected(socket: str | None) -> Client:
     while True:
-        try:
+        with suppress(NoDaemon):
             return Client(socket)
-        except NoDaemon:
-            time.sleep(RETRY_S)
+        time.sleep(RETRY_S)
