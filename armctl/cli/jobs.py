@@ -194,7 +194,9 @@ def run_command(output: Output, plan: Path, refine: int) -> int:
     result = output.carry_out(
         "running", "run", {"plan": wanted, "refine": refine}, kept=RECORDED, told=partial(_tell_run, output)
     )
-    output.answer(result, partial(_show_run, output, result))
+    if not output.json:
+        _show_rounds(output, result)
+    output.answer(result, off=off(result, WANTED))
     return 1 if result.get("ended") else 0
 
 
@@ -214,17 +216,13 @@ def _in_words(row: dict[str, Any]) -> str:
     return f"correction {row['round']}: {error}, {'kept' if row['kept'] else 'not better by more than noise: not kept'}"
 
 
-def _show_run(output: Output, result: dict[str, Any]) -> None:
+def _show_rounds(output: Output, result: dict[str, Any]) -> None:
     for row in result.get("rounds", ()):
         output.say(_in_words(row))
     if result.get("ended"):
         output.say(f"ended before its time: {result['ended']['code']}: {result['ended']['text']}")
     if "plan" in result:
         output.say(f"the best plan: armctl run {result['plan']}")
-    output.say(
-        f"{result['recording']}: {off(result, WANTED)} in {result['duration_s']:.1f} s (by the encoders; predicted on "
-        f"perfect servos: {result['predicted_mean_error_mm']:.1f} and {result['predicted_max_error_mm']:.1f})"
-    )
 
 
 @command("play", SOCKET)

@@ -232,9 +232,8 @@ def _target(
     if pose is not None:
         if len(pose) != 6:
             raise ConfigError("target", "--pose", f"{len(pose)} numbers", "give x,y,z,roll,pitch,yaw")
-        x, y, z, *rpy = pose
-        roll, pitch, yaw = (math.radians(angle) if deg else angle for angle in rpy)
-        return pose_target(pose_from_xyz_rpy(x, y, z, roll, pitch, yaw))
+        rpy = map(math.radians, pose[3:]) if deg else pose[3:]
+        return pose_target(pose_from_xyz_rpy(*pose[:3], *rpy))
     assert matrix is not None
     if len(matrix) != 16:
         raise ConfigError("target", "--T", f"{len(matrix)} numbers", "give 16, the 4x4 pose row by row")

@@ -200,8 +200,7 @@ def live_command(output: Output, port: int, layout: Path | None) -> None:
 
     if layout is not None:
         put(layout, files("armctl").joinpath("docs/foxglove-layout.json").read_text(), replacing=False)
-        said = f"{layout}: import it in Foxglove or Lichtblick (Layouts, Import from file)"
-        output.answer({"layout": str(layout)}, said)
+        output.answer({"layout": str(layout)})
         return
     ready = partial(output.ready, "url")
     live.serve(output.socket, output.arm, port, lambda found: ready(f"ws://{live.HOST}:{found}"), output.warn)
@@ -253,8 +252,7 @@ def web_token_add(output: Output, name: str, role: Any) -> None:
     from armctl.web.tokens import add
 
     person, token = add(tokens_path(output.config_file), name, role)
-    said = f"{name} ({role}) opens the page with this token; it is not shown again:\n{token}"
-    output.answer({"tokens": [{**person.listed(), "token": token}]}, said)
+    output.answer({"tokens": [{**person.listed(), "token": token}]})
 
 
 @command("list", CONFIG, group=web_token)
