@@ -182,14 +182,9 @@ def _detect_strain(s: Tick) -> None:
     state, joints, readings = s.state, s.each, s.inputs.sample.servos
     low_V, high_V = s.arm.voltage_V
     limit_degC = s.arm.temperature_limit_degC
-    hot = [
-        joint.temperature_degC >= limit_degC or bool(reading.error & ErrorBit.OVERHEAT)
-        for joint, reading in zip(joints, readings, strict=True)
-    ]
-    wrong = [
-        not low_V <= joint.voltage_V <= high_V or bool(reading.error & ErrorBit.VOLTAGE)
-        for joint, reading in zip(joints, readings, strict=True)
-    ]
+    both = [*zip(joints, readings, strict=True)]
+    hot = [now.temperature_degC >= limit_degC or bool(reading.error & ErrorBit.OVERHEAT) for now, reading in both]
+    wrong = [not low_V <= now.voltage_V <= high_V or bool(reading.error & ErrorBit.VOLTAGE) for now, reading in both]
     state.heat_since_ns = _since(s, state.heat_since_ns, hot)
     state.supply_since_ns = _since(s, state.supply_since_ns, wrong)
     state.load_since_ns = _since(s, state.load_since_ns, [abs(joint.load_ratio) > LOAD_RATIO for joint in joints])

@@ -59,13 +59,11 @@ def heartbeat(s: Tick, command: Jog) -> None:
 
 
 def _check(arm: ArmConfig, command: Jog) -> None:
-    joints, tool = command.joints_rad_s, command.tool_m_s
+    joints, tool, n = command.joints_rad_s, command.tool_m_s, len(arm.joints)
     if not all(map(math.isfinite, (*joints, *tool))):
         raise RequestRefused("LIMIT", "a jog needs finite velocities")
-    if (len(joints), len(tool)) not in ((len(arm.joints), 0), (0, 3)):
-        raise RequestRefused(
-            "LIMIT", f"a jog needs the velocity of each of the {len(arm.joints)} joints, or of the tool (x, y, z)"
-        )
+    if (len(joints), len(tool)) not in ((n, 0), (0, 3)):
+        raise RequestRefused("LIMIT", f"a jog needs the velocity of each of the {n} joints, or of the tool (x, y, z)")
 
 
 def advance_jog(s: Tick, jog: Jogging) -> None:
@@ -86,8 +84,8 @@ def advance_jog(s: Tick, jog: Jogging) -> None:
     most = max(map(abs, changes))
     share = min(1.0, ACCELERATION_RAD_S2 * s.period_s / most) if most else 1.0
     velocity = [a + share * change for a, change in zip(jog.velocity_rad_s, changes, strict=True)]
-    velocity = [jog.rate * v for v in _within_limits(s.arm, jog, velocity, s.period_s)]
-    while any(velocity) and _sinks_below_floor(s.arm, s.robot, jog.position_rad, velocity, s.period_s):
+    velocity = [jog.rate * v for v in _within_limits(s, jog, velocity)]
+    while any(velocity) and _sinks_below_floor(s, jog.position_rad, velocity):
         velocity = [0.5 * v for v in velocity] if max(map(abs, velocity)) > 1e-3 else [0.0] * len(velocity)
     position = tuple(
         min(max(q + v * s.period_s, joint.limits_rad[0]), joint.limits_rad[1]) if v else q
@@ -155,10 +153,10 @@ def _slower(arm: ArmConfig, J: list[list[float]], velocity: Sequence[float]) -> 
     return [v / ratio for v in velocity]
 
 
-def _within_limits(arm: ArmConfig, jog: Jogging, velocity: Sequence[float], period_s: float) -> list[float]:
+def _within_limits(s: Tick, jog: Jogging, velocity: Sequence[float]) -> list[float]:
     """The velocity from which every joint can still stop before its limit."""
-    shares = []
-    for q, v, joint in zip(jog.position_rad, velocity, arm.joints, strict=True):
+    shares, period_s = [], s.period_s
+    for q, v, joint in zip(jog.position_rad, velocity, s.arm.joints, strict=True):
         low, high = joint.limits_rad
         left = max(0.0, high - q if v > 0.0 else q - low)
         # v T + v^2 / (2 a) = left, where T is the tick that is spent at v before it can change.
@@ -170,12 +168,10 @@ def _within_limits(arm: ArmConfig, jog: Jogging, velocity: Sequence[float], peri
     return [share * v for share, v in zip(shares, velocity, strict=True)]
 
 
-def _sinks_below_floor(
-    arm: ArmConfig, robot: Robot, q: Sequence[float], velocity: Sequence[float], period_s: float
-) -> bool:
+def _sinks_below_floor(s: Tick, q: Sequence[float], velocity: Sequence[float]) -> bool:
     """Whether a link goes down, and would be below the floor where the arm comes to rest."""
-    n = robot.chain.n
-    stop_s = period_s + max(map(abs, velocity)) / (2.0 * ACCELERATION_RAD_S2)
+    chain, n = s.robot.chain, s.robot.chain.n
+    stop_s = s.period_s + max(map(abs, velocity)) / (2.0 * ACCELERATION_RAD_S2)
     both = np.array([q[:n], [a + v * stop_s for a, v in zip(q[:n], velocity, strict=False)]])
-    now_m, then_m = floor_clearance(link_points(robot.chain, both), arm.floor_m, arm.link_radius_m).min(axis=-1)
+    now_m, then_m = floor_clearance(link_points(chain, both), s.arm.floor_m, s.arm.link_radius_m).min(axis=-1)
     return bool(then_m < 0.0 and then_m < now_m)

@@ -65,11 +65,10 @@ def detect_mismatch(s: Tick) -> None:
         since_ns = since_ns or now_ns if apart > APART_TICKS or against > AGAINST_RATIO else 0
         found.append(since_ns)
         if since_ns and now_ns - since_ns >= PAIR_S * NS_PER_S:
-            how = (
-                f"reads {apart:.0f} ticks off servo {s.wire[second].servo_id} of the same joint (bound {APART_TICKS:g})"
-            )
+            other = f"servo {s.wire[second].servo_id}"
+            how = f"reads {apart:.0f} ticks off {other} of the same joint (bound {APART_TICKS:g})"
             if apart <= APART_TICKS:
-                both = f"it and servo {s.wire[second].servo_id} push against each other"
+                both = f"it and {other} push against each other"
                 how = f"{both} with {against:.0%} of their strength (bound {AGAINST_RATIO:.0%})"
             s.latch_servo("PAIR_MISMATCH", first, f"{how} for {PAIR_S:g} s")
             if against > FRICTION_RATIO:

@@ -80,10 +80,8 @@ def _put_down(s: Tick) -> None:
 
 def _beyond(s: Tick) -> list[float]:
     """Output of every joint beyond what is explained, with its sign."""
-    return [
-        joint.load_ratio - min(max(joint.load_ratio, low), high)
-        for joint, (low, high) in zip(s.joints, explained_ratio(s), strict=True)
-    ]
+    rows = zip(s.joints, explained_ratio(s), strict=True)
+    return [joint.load_ratio - min(max(joint.load_ratio, low), high) for joint, (low, high) in rows]
 
 
 def _is_too_far(s: Tick, index: int) -> bool:

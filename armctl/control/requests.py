@@ -26,6 +26,8 @@ START_TOLERANCE_RAD = math.radians(2.0)
 MINIMUM_RATE = 0.1
 # A servo that grips harder for good gets hotter than it may.
 MAX_GRIP_RATIO = 0.5
+# What is over only once the servos, or the arm's rest, show it.
+ANSWERED_LATER = messages.TorqueOn | messages.Release | messages.Teach | messages.Run | messages.Park
 
 
 def carry_out(s: Tick, command: Command) -> None:
@@ -40,7 +42,7 @@ def carry_out(s: Tick, command: Command) -> None:
 
 
 def _carry_out(s: Tick, command: Command) -> str | None:
-    """What there is to say about a command that is done; None: its reply comes later, or nobody waits for one.
+    """What there is to say about a command that is done, if somebody waits for it; None: its reply comes later.
 
     Raises:
         RequestRefused: it is not to be carried out; nothing has changed.
@@ -75,14 +77,6 @@ def _carry_out(s: Tick, command: Command) -> str | None:
         case messages.Park(request_id):
             s.go(Trigger.PARK)
             state.request_id = request_id
-        case _:
-            return _at_once(s, command)
-    return None
-
-
-def _at_once(s: Tick, command: Command) -> str | None:
-    """As `_carry_out`, of those that are mostly done at once."""
-    match command:
         case messages.Hold(request_id):
             return _hold(s, request_id)
         case messages.TeachEnd():
@@ -103,7 +97,7 @@ def _at_once(s: Tick, command: Command) -> str | None:
             return _clear(s)
         case messages.UseModel(_, model):
             _use_model(s, model)
-    return ""
+    return None if isinstance(command, ANSWERED_LATER) else ""
 
 
 def _connected(s: Tick, command: messages.Connected) -> None:
@@ -155,10 +149,8 @@ def _torque_on(s: Tick, request_id: int) -> None:
             raise RequestRefused("JUMP_REFUSED", f"joint {servo.name} is moving; hold the arm still")
         if not servo.low_tick - EDGE_TICKS <= position <= servo.high_tick + EDGE_TICKS:
             position_deg, (low, high) = math.degrees(servo.position_rad(position)), s.arm.joints[servo.of].limits_deg
-            raise RequestRefused(
-                "LIMIT",
-                f"joint {servo.name} is at {position_deg:.1f} deg, outside {low:g} to {high:g}; move it inside by hand",
-            )
+            problem = f"is at {position_deg:.1f} deg, outside {low:g} to {high:g}; move it inside by hand"
+            raise RequestRefused("LIMIT", f"joint {servo.name} {problem}")
         ticks.append(servo.within_limits(position))
     s.go(Trigger.TORQUE_ON)
     soften(s)
@@ -173,10 +165,8 @@ def _run(s: Tick, request_id: int, trajectory: JointTrajectory) -> None:
     for joint, q, start in zip(s.arm.joints, s.wanted_rad(), trajectory.positions_rad[0], strict=True):
         away = abs(q - start)
         if away > START_TOLERANCE_RAD:
-            raise RequestRefused(
-                "START_MISMATCH",
-                f"joint {joint.name}: the motion starts {math.degrees(away):.1f} deg from where the arm is (bound 2)",
-            )
+            problem = f"the motion starts {math.degrees(away):.1f} deg from where the arm is (bound 2)"
+            raise RequestRefused("START_MISMATCH", f"joint {joint.name}: {problem}")
     s.go(Trigger.RUN)
     s.state.motion = Motion(trajectory, request_id)
     set_off(s, corrected=trajectory.corrected)

@@ -76,14 +76,8 @@ def settle(s: Tick, motion: Motion) -> bool:
 
 def _sticking(last: Settling, error_rad: Sequence[float]) -> tuple[int, ...]:
     """Which joints did not turn when they were last to."""
-    turned = zip(last.asked, last.error_rad, error_rad, strict=True) if last.asked else ()
-    return tuple(
-        [
-            i
-            for i, (asked, before, now) in enumerate(turned)
-            if asked and (before - now) * asked < TURNED_RAD * abs(asked)
-        ]
-    )
+    turned = enumerate(zip(last.asked, last.error_rad, error_rad, strict=True) if last.asked else ())
+    return tuple([i for i, (asked, before, now) in turned if (before - now) * asked < TURNED_RAD * abs(asked)])
 
 
 def _slack_rad(s: Tick, last: Settling, error_rad: Sequence[float]) -> list[float]:
@@ -142,9 +136,8 @@ def _change(s: Tick, f: Following, changes: Sequence[int], slack_rad: Sequence[f
         step_rad = change * TICK_RAD + (way * slack_rad[i] if turns else 0.0)
         ticks = round((min(max(trims[i] + step_rad, -TRIM_RAD), TRIM_RAD) - trims[i]) / TICK_RAD)
         goal_rad = s.goals_rad()[i]
-        room_rad = min(
-            AWAY_RAD - way * (goal_rad - s.joints[i].position_rad), MOST_RAD - way * (goal_rad - f.wanted_rad[i])
-        )
+        ahead_rad, given_rad = goal_rad - s.joints[i].position_rad, goal_rad - f.wanted_rad[i]
+        room_rad = min(AWAY_RAD - way * ahead_rad, MOST_RAD - way * given_rad)
         ticks = way * max(0, min(way * ticks, math.floor(room_rad / TICK_RAD)))
         trims[i] += ticks * TICK_RAD
         goal[i] += s.wire[i].direction * ticks
