@@ -78,18 +78,13 @@ class Link:
             LinkClosed: nothing waits and the other side has closed.
         """
         messages: list[object] = []
-        reset = False
         while True:
             try:
                 data = self._socket.recv(_MAX_MESSAGE)
             except BlockingIOError:
                 return messages
             except ConnectionError:
-                # Told once where the other side left something unread; its last words come behind it.
-                if not reset:
-                    reset = True
-                    continue
-                data = b""
+                continue  # told once where the other side left something unread; its last words come behind it
             if not data:
                 if messages:
                     return messages

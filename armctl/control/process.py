@@ -57,7 +57,6 @@ class ControlProcess:
 
     def __init__(self, process: subprocess.Popen[bytes], link: Link) -> None:
         self._process, self.link = process, link
-        self.pid = process.pid
 
     @classmethod
     def start(cls, settings: ControlSettings, *, restarted: bool = False) -> Self:

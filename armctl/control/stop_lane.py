@@ -38,9 +38,6 @@ class _Caller:
     received: bytes = b""
     asked: bool = False
 
-    def fileno(self) -> int:
-        return self.socket.fileno()
-
 
 class StopLane:
     """The callers of one listening socket."""
@@ -51,9 +48,7 @@ class StopLane:
         # Oldest first.
         self._callers: list[_Caller] = []
         # A signal asks through a pipe, so that a wait ends at once.
-        self._read_end, self._write_end = os.pipe()
-        for end in (self._read_end, self._write_end):
-            os.set_blocking(end, False)
+        self._read_end, self._write_end = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
 
     def close(self) -> None:
         """Leave; the listening socket stays the host's."""
