@@ -122,11 +122,8 @@ def make_room(guests: Collection[G], uid: int) -> G | None:
     elif len(guests) >= PLACES:
         greedy, most = held.most_common(1)[0]
         own = held[uid] >= most
-        victims = [
-            guest
-            for guest in guests
-            if guest.uid == (uid if own else greedy) and not (guest.in_use if own else guest.commanding)
-        ]
+        whose = uid if own else greedy
+        victims = [guest for guest in guests if guest.uid == whose and not (guest.in_use if own else guest.commanding)]
         problem = f"{len(guests)} connections are open, all in use; {PLACES} are allowed"
     else:
         return None

@@ -106,9 +106,7 @@ async def run_daemon(
     outside = outside or Outside()
     folders = log_dir or data_dir(config) / "logs", data_dir(config) / "recordings"
     with _listening(socket) as listening, _listening(stop_path(socket)) as lane:
-        settings = ControlSettings(
-            port=port, baud=config.baud, arm=arm, period_s=config.period_s, stop_fd=lane.fileno()
-        )
+        settings = ControlSettings(port, config.baud, arm, config.period_s, stop_fd=lane.fileno())
         ending = asyncio.Event()
         loop = asyncio.get_running_loop()
         for number in service_manager.endings():

@@ -22,7 +22,6 @@ class Client(Protocol):
 
     def notify(self, method: str, params: dict[str, Any]) -> None:
         """Tell it something that it did not ask for."""
-        ...
 
 
 @dataclass(eq=False)

@@ -194,8 +194,6 @@ class Methods:
             "plans_delete": Method(Named, _in_thread(lambda p: plans.delete(kept, p.name))),
             "optimize": Method(RecordedRequest, self._optimize),
         }
-        for name in MOTIONS & methods.keys():
-            methods[name] = replace(methods[name], handle=self._with_notice(methods[name].handle))
         return {
             name: method if method.observes or name in UNNOTED else replace(method, handle=self._noted(name, method))
             for name, method in methods.items()
@@ -207,17 +205,11 @@ class Methods:
         if self._job is not None and self._job[0] is client:
             self._job[1].cancel()
 
-    def _with_notice(self, handle: Handler) -> Handler:
-        """The handler of a motion, whose answer tells what is not as the arm's model says."""
-
-        async def told(client: Connection, p: Any) -> dict[str, Any]:
-            result = await handle(client, p)
-            return {**result, "notice": self._host.notice} if self._host.notice else result
-
-        return told
-
     def _noted(self, name: str, method: Method) -> Handler:
-        """The method's handler, whose use and outcome go into the log."""
+        """The method's handler, whose use and outcome go into the log.
+
+        The answer of a motion tells what is not as the arm's model says.
+        """
 
         async def noted(client: Connection, p: Any) -> dict[str, Any]:
             outcome: dict[str, Any] = {"request": name, "who": client.name}
@@ -231,7 +223,8 @@ class Methods:
                 self._host.note({**outcome, "outcome": data["code"], "reasons": data["reasons"]})
                 raise
             self._host.note({**outcome, "outcome": "ok"})
-            return result
+            notice = self._host.notice if name in MOTIONS else ""
+            return {**result, "notice": notice} if notice else result
 
         return noted
 

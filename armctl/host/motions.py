@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from armctl.messages import JointTrajectory
 from armctl.trajectory.approach import approach_trajectory
 from armctl.trajectory.path_motion import PathMotion, path_motion
 from armctl.trajectory.plan import Plan, joint_trajectory, preflight
-from armctl.trajectory.playback import Playback, PlayRequest, TaughtMotion, playback
+from armctl.trajectory.playback import PlayRequest, TaughtMotion, playback
 from armctl.trajectory.preflight import preflight_motion
 from armctl.trajectory.reference import ReferencePath, error_mm
 from armctl.trajectory.target import MoveRequest, aimed, postures_at, way_by
@@ -81,16 +82,11 @@ async def play(host: Host, client: Client, motion: TaughtMotion, request: PlayRe
         RequestRefused: FOREIGN_LOG, JOINTS, pre-flight (every reason), BUSY, stopped or failed on the way.
         LogError: the recording cannot be made.
     """
-    played: list[Playback] = []
-
-    def make(q_now: Sequence[float]) -> JointTrajectory:
-        if not played:
-            played.append(playback(motion, request.rate, host.arm, host.robot))
-        return played[0].trajectory(q_now, host.period_s)
-
+    played = cache(lambda: playback(motion, request.rate, host.arm, host.robot))
+    legs: list[Leg] = [lambda q_now: played().trajectory(q_now, host.period_s)] * request.repeat
     note = {"event": "PLAY", "name": request.name, "rate": request.rate, "repeat": request.repeat}
-    name, done = await host.execute(client, "play", [make] * request.repeat, note)
-    reference = played[0].reference
+    name, done = await host.execute(client, "play", legs, note)
+    reference = played().reference
     off = {f"path_{key}": value for key, value in followed(done, reference, host.robot).items() if "error" in key}
     return {"recording": name, **followed(done, reference, host.robot, at_equal_progress=True), **off}
 

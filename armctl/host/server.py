@@ -71,7 +71,7 @@ class Connection:
         self._writer = writer
         self._lines: deque[bytes] = deque()
         self._unsent_bytes = 0
-        self._snapshots: deque[bytes] = deque()
+        self._snapshots: deque[bytes] = deque(maxlen=MAX_SNAPSHOTS)
         self._gap = 0
         self._finishing = False
         self._wake = asyncio.Event()
@@ -105,9 +105,7 @@ class Connection:
 
     def send_snapshot(self, body: bytes) -> None:
         """Queue one snapshot (a JSON object), dropping the oldest of too many."""
-        if len(self._snapshots) == MAX_SNAPSHOTS:
-            self._snapshots.popleft()
-            self._gap += 1
+        self._gap += len(self._snapshots) == MAX_SNAPSHOTS
         self._snapshots.append(body)
         self._wake.set()
 
