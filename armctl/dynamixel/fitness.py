@@ -26,12 +26,10 @@ class ServoJoint(Protocol):
     @property
     def model(self) -> str:
         """Name of its servo's model."""
-        ...
 
     @property
     def limits_tick(self) -> tuple[int, int]:
         """Lowest and highest goal that the joint needs."""
-        ...
 
 
 def bus_dead(servos: int, garbled: bool, port_name: str, baud: int) -> Problem:
@@ -96,11 +94,10 @@ def unfit_registers(joint: ServoJoint, table: bytes) -> list[Unfit]:
         (ax12a.SHUTDOWN, protects, protects, f"{NEEDED_SHUTDOWN:d} in it (overheat, overload)", protects),
         (ax12a.TEMPERATURE_LIMIT, 0, HOTTEST_DEGC, f"at most {HOTTEST_DEGC}", hottest),
     )
-    found = [(ax12a.register_value(row[0], table, 0), row) for row in bounds]
     return [
         Unfit(register, held, wanted, value)
-        for held, (register, least, most, wanted, value) in found
-        if not least <= held <= most
+        for register, least, most, wanted, value in bounds
+        if not least <= (held := ax12a.register_value(register, table, 0)) <= most
     ]
 
 

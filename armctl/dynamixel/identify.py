@@ -14,7 +14,7 @@ from statistics import median
 from typing import TypeVar
 
 from armctl.dynamixel import ax12a
-from armctl.dynamixel.bus import BUS_NOISE, NO_REPLY, PORT_GONE, Reply, ServoBus
+from armctl.dynamixel.bus import BUS_NOISE, NO_REPLY, PORT_GONE, STATUS_BLOCK, Reply, ServoBus
 from armctl.dynamixel.fitness import DOUBLED, SILENT, ServoJoint, bus_dead, problem, slow_adapter, table_problems
 from armctl.dynamixel.packet import OVERHEAD_BYTES
 from armctl.dynamixel.port import ADAPTER_LATENCY_MS, MARGIN_MS, NS_PER_MS, QUIET_MS, RETURN_DELAY_WORST_US
@@ -39,7 +39,6 @@ LISTENINGS = 30
 LATENCY_PROBES = 6
 
 EEPROM = (0, ax12a.EEPROM_END)
-STATUS_BLOCK = (ax12a.STATUS_BEGIN, ax12a.STATUS_SIZE)
 FOREVER_NS = 2**63
 
 T = TypeVar("T")

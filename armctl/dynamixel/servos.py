@@ -29,11 +29,9 @@ class ServoModel:
         return self.no_load_rpm * 2.0 * math.pi / 60.0
 
 
+_TABLE = yaml.safe_load(resources.files(__package__).joinpath("servos.yaml").read_text("utf-8"))
 # By name.
-MODELS = {
-    name: ServoModel(name, **row)
-    for name, row in yaml.safe_load(resources.files(__package__).joinpath("servos.yaml").read_text("utf-8")).items()
-}
+MODELS = {name: ServoModel(name, **row) for name, row in _TABLE.items()}
 
 
 def by_number(model_number: int) -> ServoModel | None:

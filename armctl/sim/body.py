@@ -112,9 +112,7 @@ class Body:
         self._gravity_is_current = True
         support_rad, rotor_kg_m2 = math.radians(self.spec.rest_support_deg), self.spec.rotor_inertia_kg_m2
         q = [joint.position_rad() for joint in self.joints]
-        supported = all(
-            abs(position - joint.rest_rad) <= support_rad for position, joint in zip(q, self.joints, strict=True)
-        )
+        supported = all(abs(at - joint.rest_rad) <= support_rad for at, joint in zip(q, self.joints, strict=True))
         for joint, (torque_Nm, inertia_kg_m2) in zip(self.joints, self.masses.loads(q), strict=False):
             joint.gravity_Nm = 0.0 if supported else joint.direction * torque_Nm
             joint.step_over_inertia = STEP_S / (rotor_kg_m2 + inertia_kg_m2)

@@ -62,10 +62,9 @@ class Deviation:
     def at(self, shaft_rad: float) -> float:
         """Of the link from the shaft [rad]."""
         turn = 2.0 * math.pi * shaft_rad / TRACK_RAD
-        waves = zip(WAVES, self.phases_rad, strict=True)
-        return self.held_rad + self.amplitude_rad * sum(
-            share * math.sin(k * turn + phase) for k, (share, phase) in enumerate(waves, 1)
-        )
+        waves = enumerate(zip(WAVES, self.phases_rad, strict=True), 1)
+        wave = sum(share * math.sin(k * turn + phase) for k, (share, phase) in waves)
+        return self.held_rad + self.amplitude_rad * wave
 
     def settle(self, shaft_rad: float, load_Nm: float) -> None:
         """Let the link follow the shaft and a torque on it; to be called at instants that the arm alone decides.
@@ -112,9 +111,8 @@ class Draws:
     def chain(self, chain: SerialChain) -> SerialChain:
         """The chain with its axes twisted."""
         sd, rng = math.radians(self._geometry.twist_deg), self._rng["twists"]
-        return replace(
-            chain, rows=tuple(replace(row, alpha=row.alpha + sd * float(rng.standard_normal())) for row in chain.rows)
-        )
+        rows = [replace(row, alpha=row.alpha + sd * float(rng.standard_normal())) for row in chain.rows]
+        return replace(chain, rows=tuple(rows))
 
     def zero_rad(self) -> float:
         """By how much the next joint's zero is off."""
@@ -124,10 +122,5 @@ class Draws:
         """Of the next joint's link."""
         sizes = self._geometry
         first, second = self._rng["sensors"].uniform(0.0, 2.0 * math.pi, 2).tolist()
-        return Deviation(
-            math.radians(sizes.nonlinearity_deg),
-            (first, second),
-            math.radians(sizes.flex_deg_Nm),
-            math.radians(sizes.horn_play_deg) / 2.0,
-            friction_Nm,
-        )
+        flex_rad_Nm, half_play_rad = math.radians(sizes.flex_deg_Nm), math.radians(sizes.horn_play_deg) / 2.0
+        return Deviation(math.radians(sizes.nonlinearity_deg), (first, second), flex_rad_Nm, half_play_rad, friction_Nm)

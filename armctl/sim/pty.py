@@ -48,7 +48,6 @@ class PseudoTerminal:
         """A port that is not plugged in yet."""
         self._link = link
         self._master = self._slave = -1
-        self._name = ""
         # Tells of the host's bytes without asking the terminal, which would wait for the kernel's worker.
         self._arrivals = select.epoll()
 
@@ -77,11 +76,10 @@ class PseudoTerminal:
         termios.tcsetattr(self._slave, termios.TCSANOW, settings)
         os.set_blocking(self._master, False)
         self._arrivals.register(self._master, select.EPOLLIN | select.EPOLLET)
-        self._name = os.ttyname(self._slave)
         # A symlink cannot be rewritten: make one beside it and rename, so that the link always names a terminal.
         fresh = self._link.with_name(f".{self._link.name}.{os.getpid()}")
         try:
-            fresh.symlink_to(self._name)
+            fresh.symlink_to(os.ttyname(self._slave))
             fresh.replace(self._link)
         except OSError as error:
             fresh.unlink(missing_ok=True)
@@ -93,7 +91,7 @@ class PseudoTerminal:
         if not self.plugged:
             return
         with contextlib.suppress(OSError):
-            if os.readlink(self._link) == self._name:
+            if os.readlink(self._link) == os.ttyname(self._slave):
                 self._link.unlink()
         os.close(self._master)
         os.close(self._slave)

@@ -195,15 +195,9 @@ class SimulatedServo:
             speed = round(self.velocity_rad_s / SPEED_UNIT_RAD_S)
         if not enabled and self.variants.goal_follows_when_limp:
             _GOAL.pack_into(table, _GOAL_AT, position)
-        _MEASURED.pack_into(
-            table,
-            _MEASURED_AT,
-            position,
-            _signed_magnitude(speed),
-            _signed_magnitude(round(self.output * LOAD_MAX)),
-            min(max(round(self.voltage_V * 10.0), 0), 255),
-            min(max(round(self.temperature_degC), 0), 255),
-        )
+        load = _signed_magnitude(round(self.output * LOAD_MAX))
+        dV, degC = min(max(round(self.voltage_V * 10.0), 0), 255), min(max(round(self.temperature_degC), 0), 255)
+        _MEASURED.pack_into(table, _MEASURED_AT, position, _signed_magnitude(speed), load, dV, degC)
         (goal,) = _GOAL.unpack_from(table, _GOAL_AT)
         table[_MOVING_AT] = enabled and (speed != 0 or self.reference_tick != goal)
 
@@ -281,10 +275,9 @@ class SimulatedServo:
         if not was_enabled:
             self._measure(0.0)  # a goal that followed the position is where it is now
         self._put(address, data)
-        energising = (ax12a.GOAL.name in names and self.variants.goal_write_energises) or (
-            ax12a.MOVING_SPEED.name in names and self.variants.speed_write_energises
-        )
-        if energising and ax12a.TORQUE_ENABLE.name not in names:
+        by_goal = ax12a.GOAL.name in names and self.variants.goal_write_energises
+        by_speed = ax12a.MOVING_SPEED.name in names and self.variants.speed_write_energises
+        if (by_goal or by_speed) and ax12a.TORQUE_ENABLE.name not in names:
             self.table[_TORQUE_ENABLE_AT] = 1
         if not self.torque_enabled:
             self.output = 0.0
