@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
 
+from armctl.messages import NS_PER_S
+
 HEADER = b"\xff\xff"
 # Sum of a whole packet, checksum and header included.
 WHOLE_SUM = (sum(HEADER) + 0xFF) & 0xFF
@@ -23,6 +25,11 @@ MAX_LENGTH = 246
 OVERHEAD_BYTES = 6
 # On the wire: a start bit, eight data bits, a stop bit.
 BITS_PER_BYTE = 10
+
+
+def wire_ns(baud: int) -> int:
+    """How long a byte takes on the wire."""
+    return BITS_PER_BYTE * NS_PER_S // baud
 
 
 class Instruction(IntEnum):

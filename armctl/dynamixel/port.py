@@ -29,8 +29,8 @@ from collections.abc import Sequence
 
 from dynamixel_sdk import COMM_RX_TIMEOUT, COMM_SUCCESS, COMM_TX_FAIL, PortHandler, Protocol1PacketHandler
 
-from armctl.clock import NS_PER_S, Clock
-from armctl.dynamixel.packet import BITS_PER_BYTE, OVERHEAD_BYTES, WHOLE_SUM
+from armctl.clock import Clock
+from armctl.dynamixel.packet import OVERHEAD_BYTES, WHOLE_SUM, wire_ns
 
 NS_PER_MS = 1_000_000
 # Largest value of the servo's return delay register, 254 units of 2 us.
@@ -131,7 +131,7 @@ class ServoPort(PortHandler, ABC):  # type: ignore[misc]  # the SDK has no types
     def setBaudRate(self, baudrate: int) -> bool:
         """Set the rate [bit/s]; an open port is opened again with it."""
         self.baudrate = baudrate
-        self.byte_ns = BITS_PER_BYTE * NS_PER_S // baudrate
+        self.byte_ns = wire_ns(baudrate)
         if self.is_open:
             self.closePort()
             self.openPort()

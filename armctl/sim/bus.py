@@ -14,17 +14,8 @@ from itertools import pairwise, zip_longest
 
 import numpy as np
 
-from armctl.clock import NS_PER_S
 from armctl.dynamixel import ax12a
-from armctl.dynamixel.packet import (
-    BITS_PER_BYTE,
-    BROADCAST_ID,
-    BadChecksum,
-    Decoder,
-    Instruction,
-    Packet,
-    encode_status,
-)
+from armctl.dynamixel.packet import BROADCAST_ID, BadChecksum, Decoder, Instruction, Packet, encode_status, wire_ns
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.servo import SimulatedServo
 
@@ -81,7 +72,7 @@ class SimulatedBus:
         Args:
             now_ns: When the first byte leaves the host; it waits for those sent before.
         """
-        byte_ns = BITS_PER_BYTE * NS_PER_S // self.baud
+        byte_ns = wire_ns(self.baud)
         decoder, time_ns = self._decoder, now_ns
         if self._last_byte_ns is not None:
             time_ns = max(now_ns, self._last_byte_ns)
