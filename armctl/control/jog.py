@@ -144,9 +144,8 @@ def _dot(a: Sequence[float], b: Sequence[float]) -> float:
 
 def _slower(arm: ArmConfig, J: list[list[float]], velocity: Sequence[float]) -> list[float]:
     """The velocity scaled down as a whole to what joints and tool may do."""
-    ratio = max(
-        abs(v) / min(SPEED_RAD_S, joint.speed_limit_rad_s) for v, joint in zip(velocity, arm.joints, strict=True)
-    )
+    fastest = [min(SPEED_RAD_S, joint.speed_limit_rad_s) for joint in arm.joints]
+    ratio = max(abs(v) / most for v, most in zip(velocity, fastest, strict=True))
     tool = [_dot(row, velocity) for row in J]
     tool_m_s = math.sqrt(_dot(tool, tool))
     ratio = max(1.0, ratio, tool_m_s / arm.tool_speed_limit_m_s)

@@ -107,9 +107,8 @@ def register_value(register: Register, block: bytes, begin: int = STATUS_BEGIN) 
     """
     offset = register.address - begin
     if offset < 0 or offset + register.size > len(block):
-        raise ValueError(
-            f"{register.name} (address {register.address}) is not in a block of {len(block)} bytes from {begin}"
-        )
+        where = f"is not in a block of {len(block)} bytes from {begin}"
+        raise ValueError(f"{register.name} (address {register.address}) {where}")
     return int.from_bytes(block[offset : offset + register.size], "little")
 
 

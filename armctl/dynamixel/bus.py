@@ -135,13 +135,8 @@ class ServoBus:
             for track in self._tracks:
                 self._miss(track, PORT_GONE)
         self._sample_count += 1
-        return Sample(
-            time_ns=begin_ns,
-            servos=tuple([track.reading for track in self._tracks]),
-            bus_us=(self.port.clock.now_ns() - begin_ns) // 1000,
-            retries=retries,
-            port_open=self.is_open,
-        )
+        servos, bus_us = tuple([track.reading for track in self._tracks]), (self.port.clock.now_ns() - begin_ns) // 1000
+        return Sample(begin_ns, servos, bus_us, retries, self.is_open)
 
     def write_goal(self, goal: Goal) -> bool:
         """Send goal position and moving speed to all servos in one SYNC_WRITE, which nobody answers.

@@ -96,9 +96,7 @@ def _problems(bus: ServoBus, joints: Sequence[ServoJoint]) -> Steps[list[Problem
         for index, joint in enumerate(joints):
             if tables[index].problem:
                 tables[index] = yield from _read_table(bus, joint)
-    bus.firmware = tuple(
-        -1 if table.problem else ax12a.register_value(ax12a.FIRMWARE, table.data, 0) for table in tables
-    )
+    bus.firmware = tuple(-1 if it.problem else ax12a.register_value(ax12a.FIRMWARE, it.data, 0) for it in tables)
     problems = yield from _adapter_problems(bus, joints, tables)
     for joint, table in zip(joints, tables, strict=True):
         if table.problem == NO_REPLY:

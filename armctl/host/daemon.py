@@ -174,13 +174,8 @@ async def _parts(
     learner = Learner(config, arm, robot, config.period_s)
     host = Host(arm, robot, config.period_s, recorder, outside.clock, learner.load, learner.learn)
     methods = Methods(host, folders[1], partial(run_job, optimize_task))
-    server = Server(
-        methods.table(),
-        outside.clock,
-        on_close=methods.client_gone,
-        may_command=partial(may_command, commanders=config.commanders),
-        holds_lease=host.leases.held_by,
-    )
+    commands = partial(may_command, commanders=config.commanders)
+    server = Server(methods.table(), outside.clock, methods.client_gone, commands, host.leases.held_by)
     return host, server, recorder
 
 

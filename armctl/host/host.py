@@ -17,6 +17,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
+from armctl import messages
 from armctl.clock import NS_PER_S, Clock
 from armctl.config import ArmConfig
 from armctl.control.jog import joint_velocities
@@ -28,20 +29,7 @@ from armctl.host.snapshot import Statistics, arm_snapshot, fault_snapshots, note
 from armctl.host.takes import TakeRecorder, Takes
 from armctl.host.watch import Done, Leg, Watch, holds, refuse_collision, run_name
 from armctl.kinematics.robots.robot import Robot
-from armctl.messages import (
-    Jog,
-    JointTrajectory,
-    LagModel,
-    Mode,
-    Pause,
-    Reply,
-    Resume,
-    Run,
-    SetRate,
-    TeachEnd,
-    TickRecord,
-    UseModel,
-)
+from armctl.messages import JointTrajectory, LagModel, Mode, Reply, TickRecord
 from armctl.recording.channels import COMMAND
 from armctl.trajectory.thinning import thinned
 
@@ -165,7 +153,7 @@ class Host:
         await self.takes.end()
         # A fault, or a new control process, has ended the mode already.
         if self.latest is not None and self.latest.outputs.mode is Mode.TEACHING:
-            await self.exchange.request(TeachEnd)
+            await self.exchange.request(messages.TeachEnd)
 
     def _in_background(self, work: Any) -> None:
         task = asyncio.ensure_future(work)
@@ -219,7 +207,7 @@ class Host:
         if (lease := self.leases.current) is not None and lease.what in ("run", "program") and self._watch is None:
             lease.paused = True
         else:
-            await self.exchange.request(Pause)
+            await self.exchange.request(messages.Pause)
         return self.state()
 
     async def resume(self, client: Client) -> dict[str, Any]:
@@ -227,13 +215,13 @@ class Host:
         if (lease := self.leases.current) is not None and lease.paused:
             lease.paused = False
         else:
-            await self.exchange.request(Resume)
+            await self.exchange.request(messages.Resume)
         return self.state()
 
     async def rate(self, client: Client, rate: float) -> dict[str, Any]:
         """Run at this many trajectory seconds a second."""
         self.leases.refuse_others(client, "rate")
-        await self.exchange.request(partial(SetRate, rate=rate))
+        await self.exchange.request(partial(messages.SetRate, rate=rate))
         return {**self.state(), "rate": rate}
 
     async def jog(
@@ -255,7 +243,7 @@ class Host:
             if len(joints_rad_s) == len(q_now) or len(tool_m_s) == 3:
                 ahead = joints_rad_s or joint_velocities(self.robot, q_now, tool_m_s)
                 refuse_collision(q_now, ahead, self.arm, self.robot)
-            await self.exchange.request(lambda request_id: Jog(request_id, joints_rad_s, tool_m_s, begin))
+            await self.exchange.request(lambda request_id: messages.Jog(request_id, joints_rad_s, tool_m_s, begin))
         if not lease.lost and self.latest is not None and self.latest.outputs.mode is Mode.JOGGING:
             self.leases.keep(client, "jogging")
         return self.state()
@@ -324,13 +312,13 @@ class Host:
         """Let the control process correct by the arm's own model, if there is one that it does not know yet."""
         model = await self.own_model()
         if model is not None and (self.exchange.pid, model) != self._model:
-            await self.exchange.request(lambda request_id: UseModel(request_id, model))
+            await self.exchange.request(lambda request_id: messages.UseModel(request_id, model))
             if self._model[1] not in (None, model):
                 self.notice = ""
             self._model = self.exchange.pid, model
 
     async def _run_to_its_end(self, trajectory: JointTrajectory) -> Reply:
-        request = asyncio.ensure_future(self.exchange.request(lambda request_id: Run(request_id, trajectory), None))
+        request = asyncio.ensure_future(self.exchange.request(partial(messages.Run, trajectory=trajectory), None))
         try:
             before = None
             while not (await asyncio.wait({request}, timeout=STUCK_S))[0]:

@@ -26,9 +26,8 @@ async def reach(host: Host, client: Client, request: ReachRequest) -> dict[str, 
             there are), BUSY, stopped or failed on the way.
         LogError: the recording cannot be made.
     """
-    planned: list[FloatArray] = []
-    legs = _legs(host, request, planned)
-    name, done = await host.execute(client, "reach", legs, {"event": "REACH", **request.model_dump(exclude_none=True)})
+    note = {"event": "REACH", **request.model_dump(exclude_none=True)}
+    name, done = await host.execute(client, "reach", _legs(host, request), note)
     result: dict[str, Any] = {
         "recording": name,
         **move_result(done[_THERE], host.robot),
@@ -70,8 +69,9 @@ def gripped(host: Host, done: Sequence[Done]) -> bool:
     return any(leg.reply.code == "GRIPPED" for leg in done) and host.holds()
 
 
-def _legs(host: Host, request: ReachRequest, planned: list[FloatArray]) -> list[Leg]:
-    """The legs of one reach; the first plans the way, before anything moves, and puts it into `planned`."""
+def _legs(host: Host, request: ReachRequest) -> list[Leg]:
+    """The legs of one reach; the first plans the way, before anything moves."""
+    planned: list[FloatArray] = []
     where = host.arm, host.robot, host.period_s
 
     def approach(q_now: Sequence[float]) -> JointTrajectory:
