@@ -26,7 +26,7 @@ from armctl.host.watch import Done
 from armctl.recording.disk import put
 from armctl.trajectory.course import course_of
 from armctl.trajectory.plan import Plan, plan_to_text
-from armctl.trajectory.refinement import ASTRAY, Measured, Refinement, Round, following, seen_mm
+from armctl.trajectory.refinement import Measured, Refinement, Round, following, seen_mm
 
 MOST_FURTHER = 20
 # Runs in a row that may be disturbed, and the share of its time for which a run may wait.
@@ -72,9 +72,7 @@ class _Job:
                 self._tell(work)
                 try:
                     told: Measured | RequestRefused = await self._measured(one.plan)
-                except RequestRefused as refusal:
-                    if refusal.code not in ASTRAY:
-                        raise
+                except RequestRefused as refusal:  # which ends it, unless the plan alone is astray
                     told = refusal
                 except LogError as error:  # what was reached is no worse for it
                     raise RequestRefused("LOG", str(error)) from None
@@ -116,8 +114,8 @@ class _Job:
         )
 
     def _tell(self, work: Refinement) -> None:
-        rows = [self._row(one) for one in work.rounds]
-        self.lease.client.notify("progress", {"runs": self.runs, "of": self.most, "round": rows[-1]})
+        row = self._row(work.rounds[-1])
+        self.lease.client.notify("progress", {"runs": self.runs, "of": self.most, "round": row})
 
     def _row(self, one: Round) -> dict[str, Any]:
         results = [self.results[run.recording] for run in one.runs]
