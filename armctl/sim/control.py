@@ -135,6 +135,7 @@ class Controls:
             if not isinstance(params, dict):
                 raise ValueError("params must be an object")
             method, known = self._methods[request["method"]]
+            self._arm.advance(self._now_ns())
             for key in params:
                 if known is not None and key not in known:
                     raise ValueError(f"unknown parameter {key!r}; known: {', '.join(known) or 'none'}")
@@ -147,7 +148,6 @@ class Controls:
         seed, duration_s = params.get("seed"), params.get("duration_s")
         if type(seed) is not int or seed < 0:
             raise ValueError(f"seed {seed!r}: a whole number of at least 0")
-        self._arm.advance(self._now_ns())
         line = _point(params, "from"), _point(params, "to")
         duration_s = None if duration_s is None else _number(duration_s, "duration_s")
         return asdict(self._arm.hand.guide(*line, seed=seed, duration_s=duration_s))
@@ -158,16 +158,13 @@ class Controls:
             raise ValueError(f"joints_rad {wanted!r}: {n} numbers, rad")
         if free is not None and free not in range(n):
             raise ValueError(f"free {free!r}: the index of a joint, 0 to {n - 1}")
-        self._arm.advance(self._now_ns())
         return asdict(self._arm.hand.hold(np.array([_number(q, "joints_rad") for q in wanted]), free))
 
     def _fault_begin(self, params: Params) -> Params:
         fault = validate(Fault, params, "fault")
         check_servo(fault, self._arm.config.servo_ids, "fault", "servo_id")
-        now_ns = self._now_ns()
-        self._arm.advance(now_ns)
         number = self._arm.faults.begin(fault, self._arm.time_s)
-        self._arm.advance(now_ns)
+        self._arm.advance(self._now_ns())
         return {"id": number}
 
     def _fault_end(self, params: Params) -> None:
@@ -178,7 +175,6 @@ class Controls:
         self._arm.advance(self._now_ns())
 
     def _faults(self, _: Params) -> Params:
-        self._arm.advance(self._now_ns())
         return {"faults": self._arm.faults.listing()}
 
     def _state(self, _: Params) -> Params:

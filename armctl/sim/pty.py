@@ -103,10 +103,9 @@ class PseudoTerminal:
 
     def read(self) -> bytes:
         """The bytes the host has written, of those told about."""
-        if not self._arrivals.poll(0):
-            return b""
         with contextlib.suppress(BlockingIOError):
-            return os.read(self._master, TERMINAL_BYTES)
+            if self._arrivals.poll(0):
+                return os.read(self._master, TERMINAL_BYTES)
         return b""
 
     def write(self, data: bytes) -> None:

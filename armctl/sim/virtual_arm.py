@@ -57,6 +57,8 @@ class VirtualArm:
         self.port = self._make_port(self.wire, self.clock)
         self.bus = ServoBus(self.port, self.arm.servo_ids)
         self.loop = ControlLoop(self.bus, self.clock, self.arm, self.robot, self.period_s, restarted=restarted)
+        # Where the arm is commanded to be; empty: armctl has no say in it.
+        self.goals_rad: tuple[float, ...] = ()
 
     def start(self) -> None:
         """Open the port.
@@ -78,15 +80,6 @@ class VirtualArm:
         self._connect(restarted)
         self.start()
 
-    @property
-    def goals_rad(self) -> tuple[float, ...]:
-        """Where the arm is commanded to be [rad]."""
-        state = self.loop.state
-        if state.following is not None:
-            return state.following.wanted_rad
-        goal = state.goal
-        return tuple(joint.position_rad(tick) for joint, tick in zip(self.arm.joints, goal, strict=False))
-
     def next_id(self) -> int:
         """A number that no request has had yet."""
         self._request_id += 1
@@ -95,6 +88,7 @@ class VirtualArm:
     def tick(self, *commands: Command) -> TickRecord:
         """One tick of the control loop; the clock goes on to its begin."""
         record = self.loop.tick(commands)
+        self.goals_rad = record.outputs.wanted_rad
         self.on_tick(record)
         return record
 
