@@ -221,6 +221,7 @@ def _against(trajectory: JointTrajectory, arm: ArmConfig) -> str:
     if grip is not None and not (0 <= grip.joint < len(arm.joints) and 0.0 < grip.load_ratio <= MAX_GRIP_RATIO):
         needed = f"one of the {len(arm.joints)} joints and a load within 0 to {MAX_GRIP_RATIO:g}"
         return f"a grip needs {needed}, not joint {grip.joint} and {grip.load_ratio:g}"
+    steps_s = [b - a for a, b in pairwise(times)] or [trajectory.period_s] * (len(points) - 1)
     for i, joint in enumerate(arm.joints):
         low, high = joint.limits_rad
         column = [point[i] for point in points]
@@ -228,11 +229,7 @@ def _against(trajectory: JointTrajectory, arm: ArmConfig) -> str:
         if not low - ax12a.TICK_RAD <= worst <= high + ax12a.TICK_RAD:
             bounds = f"{joint.limits_deg[0]:g} to {joint.limits_deg[1]:g}"
             return f"joint {joint.name} would go to {math.degrees(worst):.1f} deg, outside {bounds}"
-        ways = [abs(b - a) for a, b in pairwise(column)]
-        if times:
-            speed = max(way / (b - a) for way, (a, b) in zip(ways, pairwise(times), strict=True))
-        else:
-            speed = max(ways) / trajectory.period_s
+        speed = max(abs(b - a) / step_s for (a, b), step_s in zip(pairwise(column), steps_s, strict=True))
         if speed > joint.speed_limit_rad_s * 1.001:
             bound = f"its limit is {joint.speed_limit_deg_s:g}"
             return f"joint {joint.name} would turn at {math.degrees(speed):.0f} deg/s; {bound}"
