@@ -18,7 +18,7 @@ import fcntl
 import os
 import select
 import termios
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 
 import serial
@@ -38,6 +38,8 @@ HELD_UP_NS = 3 * NS_PER_MS
 STALLED_MOST_NS = NS_PER_S // 2
 # Linux: the flag in the fifth number that TIOCGSERIAL tells.
 ASYNC_LOW_LATENCY = 0x2000
+# Linux: major numbers of what is no serial port.
+UNIX98_PTY_SLAVES = range(136, 144)
 BY_ID = Path("/dev/serial/by-id")
 
 
@@ -88,7 +90,7 @@ class SerialPort(ServoPort):
             self._worker = self._watched_worker()
             # The mark lives until the tty's last descriptor closes. Who owns a pty's master may hold its slave too,
             # and would lock us out after a crash of ours; there the advisory lock must do.
-            if not _is_pty(self._fd):
+            if os.major(os.fstat(self._fd).st_rdev) not in UNIX98_PTY_SLAVES:
                 fcntl.ioctl(self._fd, termios.TIOCEXCL)
         except (OSError, termios.error, ValueError) as error:
             self.closePort()
@@ -167,11 +169,9 @@ class SerialPort(ServoPort):
 
     def _watched_worker(self) -> KernelWorker | None:
         try:
-            worker = KernelWorker()
+            return self._opened.enter_context(closing(KernelWorker()))
         except OSError:  # there are no pseudo terminals here; then what is late counts as lost
             return None
-        self._opened.callback(worker.close)
-        return worker
 
     def _kept_back(self) -> bool:
         now_ns = self._now_ns()
@@ -221,10 +221,6 @@ class SerialPort(ServoPort):
         except (ValueError, OSError):
             return None
         return bool(state[4] & ASYNC_LOW_LATENCY)
-
-
-def _is_pty(fd: int) -> bool:
-    return 136 <= os.major(os.fstat(fd).st_rdev) <= 143  # Unix98 pty slaves
 
 
 def _reason(error: Exception) -> str:
