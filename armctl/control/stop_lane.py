@@ -69,7 +69,10 @@ class StopLane:
 
     def receive(self) -> list[str]:
         """Take in what has come; who has asked for a stop."""
-        askers = ["a signal"] if self._signalled() else []
+        askers: list[str] = []
+        with contextlib.suppress(BlockingIOError):  # there was no signal
+            os.read(self._read_end, 64)
+            askers.append("a signal")
         for caller in [caller for caller in self._callers if not caller.asked]:
             askers += self._hear(caller)
         for _ in range(ACCEPTED):
@@ -87,12 +90,6 @@ class StopLane:
             with contextlib.suppress(OSError):  # gone meanwhile
                 caller.socket.send(text.encode() + b"\n")
             self._close(caller)
-
-    def _signalled(self) -> bool:
-        try:
-            return bool(os.read(self._read_end, 64))
-        except BlockingIOError:
-            return False
 
     def _take_in(self, connection: socket.socket) -> _Caller:
         connection.setblocking(False)
