@@ -86,7 +86,7 @@ async def run_daemon(
     socket: Path,
     log_dir: Path | None,
     ready: Callable[[str], None],
-    outside: Outside | None = None,
+    outside: Outside = Outside(),
 ) -> int:
     """Serve one arm until SIGTERM, SIGINT or SIGHUP.
 
@@ -95,7 +95,7 @@ async def run_daemon(
         socket: Where clients connect.
         log_dir: Folder of the log; None: `logs` below the data folder.
         ready: Called once, with the socket's path, when clients are served.
-        outside: None: real processes, files and time.
+        outside: Left out: real processes, files and time.
     Returns:
         Exit status.
     Raises:
@@ -103,7 +103,6 @@ async def run_daemon(
         ConfigError: the socket cannot be made there.
         RequestRefused: another daemon answers on the socket, or the arm never ticked.
     """
-    outside = outside or Outside()
     folders = log_dir or data_dir(config) / "logs", data_dir(config) / "recordings"
     with _listening(socket) as listening, _listening(stop_path(socket)) as lane:
         settings = ControlSettings(port, config.baud, arm, config.period_s, stop_fd=lane.fileno())

@@ -278,7 +278,7 @@ class Host:
                 for leg in legs:
                     if done:
                         trajectory = await self._made(leg, lease.what)
-                    while lease.waits:
+                    while lease.paused and not (lease.stopped or lease.lost):
                         await self.tick()
                     lease.refuse_if_over()
                     lease.begun, self._watch = True, (watch := Watch())

@@ -39,10 +39,6 @@ class Lease:
     # Whether the arm has set off for it.
     begun: bool = False
 
-    @property
-    def waits(self) -> bool:
-        return self.paused and not (self.stopped or self.lost)
-
     def refuse_if_over(self) -> None:
         """Refuse to go on for nobody, or after a stop.
 

@@ -106,11 +106,10 @@ class _Job:
                 return measured(name, done)
             if self.work is not None:
                 self.work.lost()
-        took_s = result["duration_s"]
         raise RequestRefused(
             "DISTURBED",
-            f"the run took {took_s:.2f} s instead of {plan.duration_s:.2f} s: it was paused, or servos miss readings "
-            "and the arm waits for them; see `armctl doctor`",
+            f"the run took {result['duration_s']:.2f} s instead of {plan.duration_s:.2f} s: it was paused, or servos "
+            "miss readings and the arm waits for them; see `armctl doctor`",
         )
 
     def _tell(self, work: Refinement) -> None:

@@ -122,7 +122,7 @@ class Controls:
             "replug": (lambda _: plug.replug(), ()),
             "fault_begin": (self._fault_begin, None),
             "fault_end": (self._fault_end, ("id",)),
-            "faults": (self._faults, ()),
+            "faults": (lambda _: {"faults": arm.faults.listing()}, ()),
         }
 
     def answer(self, line: bytes) -> Iterator[str]:
@@ -173,9 +173,6 @@ class Controls:
             raise ValueError(f"id {number!r}: the number that fault_begin gave")
         self._arm.faults.end(number)
         self._arm.advance(self._now_ns())
-
-    def _faults(self, _: Params) -> Params:
-        return {"faults": self._arm.faults.listing()}
 
     def _state(self, _: Params) -> Params:
         now_ns, config = self._now_ns(), self._arm.config

@@ -186,8 +186,7 @@ class _World:
 class RealTime(_World):
     """The world's time is the wall clock's; replies wait for their bytes' time on the wire."""
 
-    def now_ns(self) -> int:
-        return time.monotonic_ns()
+    now_ns = staticmethod(time.monotonic_ns)
 
     def patience_s(self) -> float:
         """How long nothing is due."""
