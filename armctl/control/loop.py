@@ -75,17 +75,9 @@ class ControlLoop:
         if self._keyframe_due or self._tick % KEYFRAME_TICKS == 0:
             keyframe, self._keyframe_due = to_json(self.state), False
         end_ns = clock.now_ns()
-        record = TickRecord(
-            inputs,
-            outputs,
-            lateness_us=late_ns // 1000,
-            write_us=(end_ns - write_begin_ns) // 1000,
-            confirmed=confirmed,
-            goal_sent=goal_sent,
-            keyframe=keyframe,
-            dropped=self._dropped,
-            wire=self._bus.port.take_wire(),
-        )
+        lateness_us, write_us, dropped = late_ns // 1000, (end_ns - write_begin_ns) // 1000, self._dropped
+        wire = self._bus.port.take_wire()
+        record = TickRecord(inputs, outputs, lateness_us, write_us, confirmed, goal_sent, keyframe, dropped, wire)
         self._tick += 1
         self._deadline_ns += self._period_ns
         behind_ns = end_ns - self._deadline_ns

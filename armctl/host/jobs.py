@@ -18,7 +18,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, TypeVar, cast
 
 import numpy as np
 from pydantic import Field
@@ -69,31 +69,30 @@ async def run_job(task: Task[A, R], argument: A, progress: Progress) -> R:
     process.start()
     theirs.close()
     loop = asyncio.get_running_loop()
-    outcome: asyncio.Future[R] = loop.create_future()
+    said: asyncio.Queue[tuple[Any, ...]] = asyncio.Queue()
 
     def receive() -> None:
         try:
-            kind, *values = ours.recv()
+            said.put_nowait(ours.recv())
         except (EOFError, OSError):
             loop.remove_reader(ours.fileno())
-            if not outcome.done():
-                outcome.set_exception(RequestRefused("JOB_FAILED", "the job's process died before it was done"))
-            return
-        if kind == "progress":
-            progress(*values)
-        elif outcome.done():
-            return
-        elif kind == "result":
-            outcome.set_result(values[0])
-        elif kind == "refused":
-            outcome.set_exception(values[0])
-        else:
-            logger.error("job %s failed\n%s", task.__name__, values[0])
-            outcome.set_exception(RequestRefused("JOB_FAILED", "the job broke; the daemon's log has the traceback"))
+            said.put_nowait(("died",))
 
     loop.add_reader(ours.fileno(), receive)
     try:
-        return await outcome
+        while True:
+            match await said.get():
+                case "progress", *values:
+                    progress(*values)
+                case "result", result:
+                    return cast(R, result)
+                case "refused", error:
+                    raise error
+                case "broken", text:
+                    logger.error("job %s failed\n%s", task.__name__, text)
+                    raise RequestRefused("JOB_FAILED", "the job broke; the daemon's log has the traceback")
+                case _:
+                    raise RequestRefused("JOB_FAILED", "the job's process died before it was done")
     finally:
         loop.remove_reader(ours.fileno())
         ours.close()

@@ -68,9 +68,8 @@ class Learner:
 
     def _learnt(self, sums: lag.Summary) -> str:
         chain = self.robot.chain
-        if self._history is None:
-            self._history = sag_file.load_history(self._config, self.arm, chain.n)
-        history, present = self._history, self.load() or lag.nominal(self.arm, chain)
+        history = self._history or sag_file.load_history(self._config, self.arm, chain.n)
+        present = self.load() or lag.nominal(self.arm, chain)
         lesson = learning.learn(self.arm, chain, history.experience(), present, sums)
         made = datetime.now(UTC).isoformat(timespec="seconds")
         self._history = history.after(lesson, made)
