@@ -170,10 +170,9 @@ def compliance(settings: int) -> tuple[int, int, int]:
     return max(cw_margin, ccw_margin), compliance_slope(max(cw_slope, ccw_slope)), punch
 
 
+_SET = CW_MARGIN, CCW_MARGIN, CW_SLOPE, CCW_SLOPE, PUNCH, TORQUE_LIMIT
 # Settings of a servo that has just restarted.
-POWER_ON_SETTINGS = _settings(*(
-    register.default for register in (CW_MARGIN, CCW_MARGIN, CW_SLOPE, CCW_SLOPE, PUNCH, TORQUE_LIMIT)
-))  # fmt: skip
+POWER_ON_SETTINGS = _settings(*(register.default for register in _SET))
 
 
 def decode(block: bytes) -> Status | None:

@@ -131,11 +131,9 @@ def _adapter_problems(bus: ServoBus, joints: Sequence[ServoJoint], tables: Seque
             probes.append((yield from _read_table(bus, answering)))
         latencies_ms = added_ms([*tables, *probes])
     latency_ms, allowance_ms = latencies_ms[len(latencies_ms) // 4], max(ADAPTER_LATENCY_MS, median(latencies_ms))
-    if latency_ms > SLOW_ADAPTER_MS:
-        bus.allow_latency(allowance_ms)
-        return [slow_adapter(bus.port.port_name, latency_ms, SLOW_ADAPTER_MS)]
-    bus.allow_latency(min(allowance_ms, SLOW_ADAPTER_MS))
-    return []
+    slow = latency_ms > SLOW_ADAPTER_MS
+    bus.allow_latency(allowance_ms if slow else min(allowance_ms, SLOW_ADAPTER_MS))
+    return [slow_adapter(bus.port.port_name, latency_ms, SLOW_ADAPTER_MS)] if slow else []
 
 
 def answers_twice(bus: ServoBus, servo_id: int) -> bool:

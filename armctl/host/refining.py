@@ -72,7 +72,7 @@ class _Job:
                 self._tell(work)
                 try:
                     told: Measured | RequestRefused = await self._measured(one.plan)
-                except RequestRefused as refusal:  # which ends it, unless the plan alone is astray
+                except RequestRefused as refusal:  # it ends the refinement, and is told unless the plan is astray
                     told = refusal
                 except LogError as error:  # what was reached is no worse for it
                     raise RequestRefused("LOG", str(error)) from None
