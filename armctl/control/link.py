@@ -84,7 +84,8 @@ class Link:
             except BlockingIOError:
                 return messages
             except ConnectionError:
-                continue  # told once where the other side left something unread; its last words come behind it
+                # Told once where the other side left something unread; its last words come behind it.
+                data = self._socket.recv(_MAX_MESSAGE)
             if not data:
                 if messages:
                     return messages

@@ -170,9 +170,9 @@ def compliance(settings: int) -> tuple[int, int, int]:
     return max(cw_margin, ccw_margin), compliance_slope(max(cw_slope, ccw_slope)), punch
 
 
-_SET = CW_MARGIN, CCW_MARGIN, CW_SLOPE, CCW_SLOPE, PUNCH, TORQUE_LIMIT
+_SET_WITH_TORQUE = CW_MARGIN, CCW_MARGIN, CW_SLOPE, CCW_SLOPE, PUNCH, TORQUE_LIMIT
 # Settings of a servo that has just restarted.
-POWER_ON_SETTINGS = _settings(*(register.default for register in _SET))
+POWER_ON_SETTINGS = _settings(*(register.default for register in _SET_WITH_TORQUE))
 
 
 def decode(block: bytes) -> Status | None:
