@@ -80,9 +80,11 @@ def energise(s: Tick) -> None:
         return
     here = [was if shaft is None else shaft.tick for shaft, was in zip(limp, anchor, strict=True)]
     moved = any(abs(tick - was) > ENERGISE_AWAY_TICKS for tick, was in zip(here, anchor, strict=True))
-    if (state.phase is Phase.SOFTENING and soften(s)) or any(shaft and shaft.still is None for shaft in limp):
-        return  # what was written is to be read back, and every limp shaft to be known to stand
     match state.phase:
+        case Phase.SOFTENING if soften(s):
+            pass
+        case Phase.SOFTENING | Phase.PREPARING if any(shaft and shaft.still is None for shaft in limp):
+            pass
         case Phase.SOFTENING | Phase.PREPARING if moved or state.phase is Phase.SOFTENING:
             # Torque would pull a shaft that has moved back to where it was: another goal, to be looked at again.
             if moved:
