@@ -2,15 +2,18 @@
 
 import csv
 import math
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
 
 from armctl.errors import ConfigError, RequestRefused
+from armctl.files import read_text
 from armctl.kinematics.chain import SerialChain, tool_position
 from armctl.kinematics.transform import FloatArray
 from armctl.recording.recordings import Recording
 from armctl.trajectory.interpolate import columns_at
+from armctl.trajectory.refinement import smoothed
 
 COLUMNS = ("t_s", "x_m", "y_m", "z_m")
 EVEN = 51
@@ -26,23 +29,19 @@ def read(path: Path) -> tuple[FloatArray, FloatArray]:
     Raises:
         ConfigError: the file cannot be read, or is not such a table; names line and column.
     """
-    try:
-        with path.open(encoding="utf-8", newline="") as file:
-            reader = csv.DictReader(file)
-            missing = [column for column in COLUMNS if column not in (reader.fieldnames or ())]
-            if missing:
-                raise ConfigError(str(path), missing[0], f"no such column; the table needs {', '.join(COLUMNS)}")
-            rows = []
-            for row in reader:
-                try:
-                    values = [float(row[column]) for column in COLUMNS]
-                except (TypeError, ValueError):
-                    values = [math.nan]
-                if not all(map(math.isfinite, values)):
-                    raise ConfigError(str(path), f"line {reader.line_num}", "not four finite numbers")
-                rows.append(values)
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(str(path), "", f"cannot read the measurement: {error}") from None
+    reader = csv.DictReader(StringIO(read_text(path, "measurement")))
+    missing = [column for column in COLUMNS if column not in (reader.fieldnames or ())]
+    if missing:
+        raise ConfigError(str(path), missing[0], f"no such column; the table needs {', '.join(COLUMNS)}")
+    rows = []
+    for row in reader:
+        try:
+            values = [float(row[column]) for column in COLUMNS]
+        except (TypeError, ValueError):
+            values = [math.nan]
+        if not all(map(math.isfinite, values)):
+            raise ConfigError(str(path), f"line {reader.line_num}", "not four finite numbers")
+        rows.append(values)
     table = np.array(rows).reshape(-1, 4)
     if len(table) < 2 or not (np.diff(table[:, 0]) > 0.0).all():
         raise ConfigError(str(path), "t_s", "needs two rows or more, times increasing")
@@ -70,7 +69,4 @@ def unseen_m(time_s: FloatArray, tool_m: FloatArray, run: Recording, chain: Seri
         )
     at_s = np.linspace(0.0, duration_s, EVEN)
     by_encoder = tool_position(chain, columns_at(at_s, run.time_s - begin_s, run.positions_rad[:, : chain.n]))
-    u = np.linspace(0.0, 1.0, EVEN)
-    window = np.exp(-0.5 * ((u[:, None] - u) / SMOOTH) ** 2)
-    difference = columns_at(at_s, time_s, tool_m) - by_encoder
-    return np.asarray(window @ difference / window.sum(axis=1, keepdims=True))
+    return smoothed(columns_at(at_s, time_s, tool_m) - by_encoder, 1.0 / (EVEN - 1), SMOOTH)
