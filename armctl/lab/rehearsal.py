@@ -24,6 +24,7 @@ from armctl.recording.timeline import Timeline
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.virtual_arm import VirtualArm
 from armctl.trajectory.approach import approach_trajectory
+from armctl.trajectory.interpolate import columns_at
 
 SPEED_MARGIN = 0.99
 DWELL_S = 1.0
@@ -54,11 +55,8 @@ def check_arm(timeline: Timeline, arm: ArmConfig) -> None:
     """
     reasons = [
         f"{timeline.path}: {what} of the log is {theirs}, of this arm {ours}"
-        for what, theirs, ours in (
-            ("arm_id", timeline.arm.arm_id, arm.arm_id),
-            ("calibration_hash", timeline.arm.calibration_hash, arm.calibration_hash),
-        )
-        if theirs != ours
+        for what in ("arm_id", "calibration_hash")
+        if (theirs := getattr(timeline.arm, what)) != (ours := getattr(arm, what))
     ]
     if reasons:
         raise RequestRefused("FOREIGN_LOG", (*reasons, "add --foreign to let this arm repeat its joint angles"))
@@ -114,7 +112,7 @@ def rehearse(
         if progress is not None:
             progress(min(1.0, (begin + most) / len(motion)))
     followed = np.array([[joint.position_rad for joint in record.outputs.joints] for record in records])
-    then = np.stack([np.interp(grid[:-1], run_s, column) for column in measured.T], axis=-1)
+    then = columns_at(grid[:-1], run_s, measured)
     error, chain = np.abs(followed - then), virtual.robot.chain
     apart_m = tool_position(chain, followed[:, : chain.n]) - tool_position(chain, then[:, : chain.n])
     tool_m = np.linalg.norm(apart_m, axis=-1)
@@ -150,4 +148,4 @@ def _stretched(
     needed_s = (np.abs(np.diff(q, axis=0)) / limits).max(axis=1)
     run_s = np.concatenate([[0.0], np.cumsum(np.maximum(np.diff(time_s), needed_s))])
     grid: FloatArray = np.arange(int(np.ceil(run_s[-1] / period_s - 1e-9)) + 1) * np.float64(period_s)
-    return grid, np.stack([np.interp(grid, run_s, column) for column in q.T], axis=-1), run_s
+    return grid, columns_at(grid, run_s, q), run_s

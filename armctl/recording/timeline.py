@@ -32,6 +32,7 @@ from armctl.recording.columns import Payloads
 from armctl.recording.log_file import LogFile, Progress
 from armctl.recording.notes import parse_note
 from armctl.recording.replay import log_setup
+from armctl.trajectory.interpolate import columns_at
 
 _REGISTERS = (ax12a.TORQUE_ENABLE, ax12a.GOAL, ax12a.PRESENT_VOLTAGE, ax12a.PRESENT_TEMPERATURE)
 # What every frame is made of, and what it tells of the joints.
@@ -99,13 +100,11 @@ class _Happenings:
     def _commanded(self, run: dict[str, Any]) -> None:
         path = run["trajectory"]
         rows, period_s = path["positions_rad"], path["period_s"]
+        ends_s = path["begin_s"], path["end_s"]
         if times := path.get("times_s"):
-            begin, end = (
-                [float(np.interp(path[key], times, column)) for column in zip(*rows, strict=True)]
-                for key in ("begin_s", "end_s")
-            )
+            begin, end = columns_at(np.array(ends_s), np.array(times), np.array(rows)).tolist()
         else:
-            begin, end = (rows[min(round(path[key] / period_s), len(rows) - 1)] for key in ("begin_s", "end_s"))
+            begin, end = (rows[min(round(at_s / period_s), len(rows) - 1)] for at_s in ends_s)
         self._run = Motion(str(path["label"]), tuple(begin), tuple(end))
 
 
