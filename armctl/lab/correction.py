@@ -18,22 +18,12 @@ def run(rig: Rig, course: Course, plan: Plan, number: int, *, corrected: bool = 
     Raises:
         RequestRefused: the plan may not run, or was stopped.
     """
-    return again(rig, Round(number, course, plan, (), (), corrected))
+    measured = rig.run(plan, corrected=corrected)
+    one = Round(number, course, plan, (measured,), (), corrected)
+    return replace(one, run_mm=(seen_mm(rig, one, measured),))
 
 
-def again(rig: Rig, one: Round) -> Round:
-    """The round with one run more.
-
-    Raises:
-        RequestRefused: the plan may not run, or was stopped.
-    """
-    measured = rig.run(one.plan, corrected=one.corrected)
-    return replace(one, runs=(*one.runs, measured), run_mm=(*one.run_mm, seen_mm(rig, one, measured)))
-
-
-def first_run(
-    rig: Rig, candidates: Iterable[Course], model: LagModel | None, seed: int, number: int = 0, *, corrected: bool
-) -> Round:
+def first_run(rig: Rig, candidates: Iterable[Course], model: LagModel | None, seed: int, *, corrected: bool) -> Round:
     """The first course whose plan may run and is not too heavy by the model, and its run.
 
     Raises:
@@ -46,7 +36,7 @@ def first_run(
             refused = refused or RequestRefused("TOO_HEAVY", reason)
             continue
         try:
-            return run(rig, course, plan, number, corrected=corrected)
+            return run(rig, course, plan, 0, corrected=corrected)
         except RequestRefused as refusal:
             if refusal.code not in ASTRAY:
                 raise

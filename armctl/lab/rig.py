@@ -16,13 +16,13 @@ from armctl.clock import NS_PER_S, VirtualClock
 from armctl.config import ArmConfig
 from armctl.errors import RequestRefused
 from armctl.kinematics import robots
-from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import LagModel, Run, Teach, TeachEnd, TorqueOn, UseModel
 from armctl.recording import recordings
 from armctl.recording.recordings import Recording
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.virtual_arm import VirtualArm
+from armctl.trajectory.course import Driven
 from armctl.trajectory.plan import Plan, joint_trajectory, preflight
 from armctl.trajectory.refinement import Measured
 
@@ -37,12 +37,8 @@ BEFORE_S, AFTER_S = 0.3, 0.8
 TRIES = 3
 
 
-class Rig(Protocol):
+class Rig(Driven, Protocol):
     """An arm that runs plans."""
-
-    arm: ArmConfig
-    robot: Robot
-    period_s: float
 
     @property
     def goals_rad(self) -> Sequence[float]:
