@@ -38,32 +38,27 @@ def row(line: Line, via: Via, rig: Rig, plan: Plan, runs: Sequence[Measured]) ->
     """One row of the experiment: means over the runs, and their spread."""
     chain = rig.robot.chain
     by_encoder = np.array([line.errors_mm(tool_position(chain, run.positions_rad[:, : chain.n])) for run in runs])
-    truths = [line.errors_mm(run.true_tool_m) for run in runs if run.true_tool_m is not None]
-    own = [straightness.own_chord_mm(run.true_tool_m) for run in runs if run.true_tool_m is not None]
+    paths_m = [run.true_tool_m for run in runs if run.true_tool_m is not None]
+    true, own = (np.array([of(tool_m) for tool_m in paths_m]) for of in (line.errors_mm, straightness.own_chord_mm))
 
     # Column by column: sums over rows of pairs would round otherwise.
     def both(of: Callable[[FloatArray], Any], errors: FloatArray, prefix: str = "") -> dict[str, float]:
-        return {
-            f"{prefix}{name}_error_mm": float(of(column))
-            for name, column in zip(("mean", "max"), errors.T, strict=True)
-        }
+        names = f"{prefix}mean_error_mm", f"{prefix}max_error_mm"
+        return dict(zip(names, (float(of(column)) for column in errors.T), strict=True))
 
     result: dict[str, Any] = {
         "via": via,
         **both(np.mean, by_encoder),
         "duration_s": float(np.mean([run.duration_s for run in runs])),
-        "truth": None,
-        "own_chord": None,
+        "truth": both(np.mean, true) if len(true) else None,
+        "own_chord": both(np.mean, own) if len(own) else None,
         "predicted_mean_error_mm": plan.predicted_mean_error_mm,
         "predicted_max_error_mm": plan.predicted_max_error_mm,
         "runs": len(runs),
         "spread": both(np.std, by_encoder),
         "recordings": [run.recording for run in runs if run.recording],
     }
-    if truths:
-        true = np.array(truths)
-        result["truth"] = both(np.mean, true)
-        result["own_chord"] = both(np.mean, np.array(own))
+    if len(true):
         result["spread"] |= both(np.std, true, "true_")
     return result
 
