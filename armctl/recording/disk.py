@@ -120,11 +120,10 @@ def owned(path: Path) -> Iterator[None]:
     """
     try:
         with path.open("rb") as file:
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                raise PartInUse(f"{path}: is being written; end the recording first") from None
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             yield
+    except BlockingIOError:
+        raise PartInUse(f"{path}: is being written; end the recording first") from None
     except OSError as error:
         raise LogError(f"{path}: cannot be read: {error.strerror}") from None
 

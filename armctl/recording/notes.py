@@ -13,7 +13,7 @@ from armctl.errors import LogError
 NOTES = "notes.jsonl"
 NOTE = "NOTE"
 LEVELS = {"info": 20, "warning": 30, "error": 40}
-FAULT_LEVEL, NOTE_LEVEL = LEVELS["error"], LEVELS["info"]
+NOTE_LEVEL = LEVELS["info"]
 # Of a minute of a servo, in the order of its columns (index.sql).
 FIGURES = ("temperature_degC", "load_ratio", "load_mean_ratio", "voltage_V", "error_deg")
 
@@ -38,11 +38,11 @@ def add_note(log: Path, text: str) -> None:
     if not text.strip():
         raise LogError(f"{log}: a note without a word says nothing; write what to remember")
     line = json.dumps({"log": log.name, "text": text}) + "\n"
-    try:
-        with (log.parent / NOTES).open("a", encoding="utf-8") as file:
-            file.write(line)  # in one write, so that two who note at once do not mix
-    except OSError as error:
-        raise LogError(f"{log.parent / NOTES}: cannot be written: {error.strerror}") from None
+    from armctl.recording.disk import writing
+
+    path = log.parent / NOTES
+    with writing(path), path.open("a", encoding="utf-8") as file:
+        file.write(line)  # in one write, so that two who note at once do not mix
 
 
 def notes(folder: Path) -> list[tuple[str, str]]:
