@@ -123,13 +123,10 @@ class Payloads:
     @classmethod
     def joined(cls, parts: Sequence[Self]) -> Self:
         """All of these, one after the other."""
-
-        def column(key: str, kind: Any) -> Any:
-            return np.concatenate([np.empty(0, kind), *(getattr(part, key) for part in parts)])
-
-        times_ns, sequence = column("log_time_ns", np.uint64), column("sequence", np.uint32)
-        data = b"".join([part.data for part in parts])
-        return cls(times_ns, sequence, column("place", np.int64), column("size", np.int64), data)
+        kinds = {"log_time_ns": np.uint64, "sequence": np.uint32, "place": np.int64, "size": np.int64}
+        some = {key: [np.empty(0, kind), *(getattr(part, key) for part in parts)] for key, kind in kinds.items()}
+        joined: dict[str, Column] = {key: np.concatenate(arrays) for key, arrays in some.items()}
+        return cls(**joined, data=b"".join([part.data for part in parts]))
 
 
 # A message's record but for its data.

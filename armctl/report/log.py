@@ -99,11 +99,8 @@ def _from_its_plan(log: Timeline) -> Timeline:
 
 def _columns(log: Timeline) -> dict[str, FloatArray]:
     """What is judged and drawn, a row a tick; of joints shape (m, n), NaN where it is not known."""
-    bus, off_deg, load = (
-        dict(zip(CYCLE_KEYS, log.cycle.T, strict=True)),
-        np.degrees(log.position_rad - log.goal_rad),
-        100.0 * log.load_ratio,
-    )
+    bus, load = dict(zip(CYCLE_KEYS, log.cycle.T, strict=True)), 100.0 * log.load_ratio
+    off_deg = np.degrees(log.position_rad - log.goal_rad)
     missing = (np.diff(log.tick) - 1).clip(min=0).sum()  # another control process counts anew
     period_s = log.duration_s / max(1, len(log.tick) - 1 + missing) or math.inf
     return {
