@@ -43,11 +43,9 @@ class Rig(Driven, Protocol):
     @property
     def goals_rad(self) -> Sequence[float]:
         """Where the arm is commanded to be."""
-        ...
 
     def use(self, model: LagModel) -> None:
         """Let the control step correct by this model from now on."""
-        ...
 
     def run(self, plan: Plan, *, corrected: bool = True) -> Measured:
         """Approach the plan's start, run it, measure.
@@ -57,7 +55,6 @@ class Rig(Driven, Protocol):
         Raises:
             RequestRefused: the plan may not run, or was stopped; every reason.
         """
-        ...
 
 
 class _ObservingClock(VirtualClock):

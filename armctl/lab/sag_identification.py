@@ -11,9 +11,9 @@ from armctl.lab.course import courses, too_heavy
 from armctl.lab.rig import Rig
 from armctl.messages import LagModel
 from armctl.trajectory import lag
-from armctl.trajectory.course import Line, plan_of
+from armctl.trajectory.course import Course, Line, course_of, plan_of
 from armctl.trajectory.line_path import line_paths
-from armctl.trajectory.plan import Plan, lead, plan_positions
+from armctl.trajectory.plan import Plan, lead
 from armctl.trajectory.refinement import Measured, lag_of, smoothed
 
 LINES = 8
@@ -65,7 +65,6 @@ def identify(rig: Rig, rng: np.random.Generator, show: Callable[[int], None] = l
     Raises:
         RequestRefused: the arm cannot run enough lines, or stopped.
     """
-    chain = rig.robot.chain
     seen: list[lag.Summary] = []
     why = ""
     for _ in range(MOST_TRIES):
@@ -86,14 +85,12 @@ def identify(rig: Rig, rng: np.random.Generator, show: Callable[[int], None] = l
                 raise
             why = str(refusal)
             continue
-        lags = lag_of(rig, plan, measured)
-        q = course.goals_rad - smoothed(lags, rig.period_s)
-        seen.append(lag.summary(lags, lag.regressors(chain, q, lead(plan)[: chain.n], rig.period_s)))
+        seen.append(_told(rig, course, plan, measured))
         show(len(seen))
     if len(seen) < LINES:
         reasons = f"only {len(seen)} of {LINES} calibration lines could be run", f"the last that could not: {why}"
         raise RequestRefused("CALIBRATE", reasons)
-    return lag.fitted(rig.arm, chain, seen)
+    return lag.fitted(rig.arm, rig.robot.chain, seen)
 
 
 def learnt(rig: Rig, runs: Sequence[tuple[Plan, Measured]]) -> LagModel:
@@ -101,11 +98,12 @@ def learnt(rig: Rig, runs: Sequence[tuple[Plan, Measured]]) -> LagModel:
 
     What runs do not show of an arm stays as the nominal model has it.
     """
-    chain = rig.robot.chain
-    seen = []
-    for plan, measured in runs:
-        lags = lag_of(rig, plan, measured)
-        time_s: FloatArray = np.arange(len(lags)) * np.float64(rig.period_s)
-        q = plan_positions(plan, time_s)[:, : chain.n] - smoothed(lags, rig.period_s)
-        seen.append(lag.summary(lags, lag.regressors(chain, q, lead(plan)[: chain.n], rig.period_s)))
-    return lag.fitted(rig.arm, chain, seen)
+    seen = [_told(rig, course_of(rig, plan), plan, measured) for plan, measured in runs]
+    return lag.fitted(rig.arm, rig.robot.chain, seen)
+
+
+def _told(rig: Rig, course: Course, plan: Plan, measured: Measured) -> lag.Summary:
+    """What an uncorrected run tells of how each joint lags."""
+    chain, lags = rig.robot.chain, lag_of(rig, plan, measured)
+    q = course.goals_rad - smoothed(lags, rig.period_s)
+    return lag.summary(lags, lag.regressors(chain, q, lead(plan)[: chain.n], rig.period_s))
