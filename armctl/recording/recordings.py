@@ -290,9 +290,14 @@ def _errors_m(points_m: FloatArray, line: Line | None) -> tuple[float, float] | 
 def via_marks(path: Path) -> list[dict[str, Any]]:
     """The via points that were marked while a take was recorded."""
     keys = ("tick", "position_m", "joints_rad")
+    return [{key: note[key] for key in keys} for note in noted(path, "VIA_MARK") if note.keys() >= set(keys)]
+
+
+def noted(path: Path, event: str) -> list[dict[str, Any]]:
+    """The notes in a log that tell of an event; lines that are none are passed over.
+
+    Raises:
+        LogError: the file is no log.
+    """
     notes = (parse_note(message.value.get("data", "")) for message in read(path, (COMMAND,)))
-    return [
-        {key: note[key] for key in keys}
-        for note in notes
-        if note.get("event") == "VIA_MARK" and note.keys() >= set(keys)
-    ]
+    return [note for note in notes if note.get("event") == event]

@@ -5,7 +5,6 @@ Recorded: the encoders' joint positions of the log, made smooth and differentiat
 rebuilt from the parameters that the log itself holds, taken to the tool in the same way. Time 0 is the cycle's begin.
 """
 
-import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,8 +17,9 @@ from armctl.clock import NS_PER_S
 from armctl.errors import LogError
 from armctl.kinematics import robots
 from armctl.kinematics.robots.robot import Robot
-from armctl.recording import channels, timeline
-from armctl.recording.reader import read
+from armctl.recording import timeline
+from armctl.recording.channels import COMMAND
+from armctl.recording.recordings import noted
 from armctl.report.kinematics import COLOURS, in_mm
 from armctl.report.page import Figure, Page, axes, curve
 from armctl.trajectory.quintic import Curves, curves
@@ -101,23 +101,18 @@ def write(transfer: Transfer, path: Path) -> None:
     """One HTML page about a cycle."""
     page = Page(f"Pick and transfer: {transfer.robot.name}")
     cycle = transfer.cycle
+    lengths = ", ".join(f"{name} {1e3 * length:g}" for name, length in transfer.robot.lengths_m.items())
     page.text(
         f"Down {1e3 * cycle.height_m:.0f} mm onto {_point(cycle.pick_m)} in {cycle.lift_s:g} s, up, across in "
         f"{cycle.carry_s:g} s, down onto {_point(cycle.place_m)}, up, and back; {cycle.dwell_s:g} s at each station, "
-        f"{cycle.cycles} time(s). Link lengths [mm]: "
-        + ", ".join(f"{name} {1e3 * length:g}" for name, length in transfer.robot.lengths_m.items())
-        + "."
+        f"{cycle.cycles} time(s). Link lengths [mm]: {lengths}."
     )
     page.text(
         f"Solid: recorded by the daemon ({transfer.log.name}); joint positions from the encoders, smoothed and "
         f"differentiated by cubics fitted within {HALF_WIDTH_S:g} s of each instant. Dashed: the model."
     )
-    rows = [
-        [row["figure"], row["quantity"], row["unit"]]
-        + [f"{row[key]:.4f}" for key in ("model_peak", "recorded_peak", "rms_difference")]
-        for row in table(transfer)
-    ]
-    page.table(["figure", "of the paw's midpoint", "unit", "peak, model", "peak, recorded", "rms difference"], rows)
+    told = ([f"{cell:.4f}" if isinstance(cell, float) else cell for cell in row.values()] for row in table(transfer))
+    page.table(["figure", "of the paw's midpoint", "unit", "peak, model", "peak, recorded", "rms difference"], [*told])
     for title in TITLES:
         page.heading(title)
         page.figure(draw(transfer, title), f"{title} over time, recorded and by the model, in x, y and z")
@@ -126,18 +121,12 @@ def write(transfer: Transfer, path: Path) -> None:
 
 def _cycle(log: Path) -> TransferRequest:
     """The parameters of the last cycle in a log."""
-    found: TransferRequest | None = None
-    for message in read(log, (channels.COMMAND,)):
-        text = message.value["data"]
-        try:
-            note = json.loads(text)
-            if isinstance(note, dict) and note.get("event") == NOTED:
-                found = TransferRequest.model_validate(note["cycle"])
-        except (ValueError, RecursionError, KeyError, ValidationError) as error:
-            raise LogError(f"{log}: {channels.COMMAND} is not as armctl writes it: {error!r}") from None
-    if found is None:
+    if not (notes := noted(log, NOTED)):
         raise LogError(f"{log}: tells of no transfer; record one with `armctl transfer`")
-    return found
+    try:
+        return TransferRequest.model_validate(notes[-1]["cycle"])
+    except (ValidationError, KeyError) as error:
+        raise LogError(f"{log}: {COMMAND} is not as armctl writes it: {error!r}") from None
 
 
 def _point(point_m: tuple[float, float, float]) -> str:
