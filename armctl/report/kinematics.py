@@ -62,20 +62,20 @@ def arm(
         axes_m: How long the axes n, o, a of each tool are drawn; 0: not at all.
     """
     lines, drawn, plane = list[dict[str, Any]](), list[FloatArray](), FLAT.get(view)
+
+    def add(points_m: FloatArray, name: str, mode: str = "lines", **style: Any) -> None:
+        drawn.append(points_m * UNITS[unit])
+        lines.append({**_along(drawn[-1], plane), "mode": mode, "name": name, **style})
+
     for k, ((name, q), colour) in enumerate(zip(arms.items(), COLOURS, strict=False)):
-        drawn.append(link_frames(chain, q)[:, :3, 3] * UNITS[unit])
         # Where arms coincide the first still shows around the second.
         style = {"line": {"color": colour, "width": 9 if k == 0 else 4}, "marker": {"size": 5, "color": colour}}
-        lines.append({**_along(drawn[-1], plane), "mode": "lines+markers", "name": name, **style})
+        add(link_frames(chain, q)[:, :3, 3], name, "lines+markers", **style)
         T = forward_kinematics(chain, q)
         for axis, along, colour in zip("noa", T[:3, :3].T, COLOURS[1:4], strict=False) if axes_m else ():
-            drawn.append((T[:3, 3] + np.outer((0.0, axes_m), along)) * UNITS[unit])
-            lines.append(
-                {**_along(drawn[-1], plane), "mode": "lines", "name": axis, "line": {"color": colour, "width": 6}}
-            )
+            add(T[:3, 3] + np.outer((0.0, axes_m), along), axis, line={"color": colour, "width": 6})
     if tool_m is not None:
-        drawn.append(tool_m * UNITS[unit])
-        lines.append({**_along(drawn[-1], plane), "mode": "lines", "name": "tool path"})
+        add(tool_m, "tool path")
     return _seen(lines, np.concatenate(drawn), plane, unit)
 
 
