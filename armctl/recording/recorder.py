@@ -14,11 +14,12 @@ Rules.
 import logging
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from queue import Empty, SimpleQueue
 
 from armctl.clock import NS_PER_S, Clock, MonotonicClock
 from armctl.errors import LogError
@@ -64,13 +65,10 @@ class Recorder:
     ) -> None:
         self._clock = clock or MonotonicClock()
         self._log_dir, self._recordings_dir, self._queue_records = log_dir, recordings_dir, queue_records
-        # Shared with the thread, under the condition's lock.
-        self._condition = threading.Condition()
-        self._queue: deque[TickRecord | Callable[[], None]] = deque()
-        self._dropped = 0
-        # Ticks lost since the start because the queue was full.
-        self.dropped_records = 0
-        self._closing = False
+        # Shared with the thread; None: nothing more will come.
+        self._queue: SimpleQueue[TickRecord | Callable[[], None] | None] = SimpleQueue()
+        # Ticks lost because the queue was full: since the last one that was not, and since the start.
+        self._dropped = self.dropped_records = 0
         # The thread's own.
         compactor = compactor or Compaction().start
         self._files = Files(context, log_dir, clock=self._clock, wall_ns=wall_ns, disk=disk, compactor=compactor)
@@ -96,19 +94,17 @@ class Recorder:
 
     def put(self, record: TickRecord) -> None:
         """Record one tick. Never blocks."""
-        with self._condition:
-            if len(self._queue) >= self._queue_records:
-                self._dropped += 1
-                self.dropped_records += 1
-                return
-            if self._dropped:
-                record, self._dropped = replace(record, dropped=record.dropped + self._dropped), 0
-            self._queue.append(record)
-            self._condition.notify()
+        if self._queue.qsize() >= self._queue_records:
+            self._dropped += 1
+            self.dropped_records += 1
+            return
+        if self._dropped:
+            record, self._dropped = replace(record, dropped=record.dropped + self._dropped), 0
+        self._queue.put(record)
 
     def note(self, topic: str, text: str, time_ns: int) -> None:
         """Record a text (JSON) on a std_msgs/String topic at a monotonic time. Never blocks."""
-        if len(self._queue) < self._queue_records:
+        if self._queue.qsize() < self._queue_records:
             self._put(partial(self._files.note, topic, text, time_ns))
 
     def begin_take(self, name: str) -> Path:
@@ -150,37 +146,30 @@ class Recorder:
 
     def close(self) -> None:
         """Write what is queued, close and rename the files; gives up after 2 s, which leaves parts to recover."""
-        with self._condition:
-            self._closing = True
-            self._condition.notify()
+        self._queue.put(None)
         self._thread.join(CLOSE_S)
         if self._thread.is_alive():
             _log.error("the disk did not take the log within %g s; it stays as a part and is recovered later", CLOSE_S)
 
     def _put(self, action: Callable[[], None]) -> None:
         """Have the thread do something after what is in the queue, full or not."""
-        with self._condition:
-            self._queue.append(action)
-            self._condition.notify()
+        self._queue.put(action)
 
     # ------------------------------------------------------------------------------------------ the thread
 
     def _run(self) -> None:
         files, urgent = self._files, False
         while True:
-            with self._condition:
-                if not self._queue and not self._closing:
-                    wait_ns = self._flush_due_ns() - self._clock.now_ns() if files.written else FLUSH_NS
-                    self._condition.wait(min(max(wait_ns, FLUSH_NS // 100), FLUSH_NS) / NS_PER_S)
-                item = self._queue.popleft() if self._queue else None
-                closing = self._closing
+            wait_ns = self._flush_due_ns() - self._clock.now_ns() if files.written else FLUSH_NS
+            with suppress(Empty):
+                item = self._queue.get(timeout=min(max(wait_ns, FLUSH_NS // 100), FLUSH_NS) / NS_PER_S)
+                if item is None:
+                    break
+                if isinstance(item, TickRecord):
+                    urgent |= files.record(item)
+                else:
+                    item()
             self._behind = max(0, self._behind - 1)
-            if isinstance(item, TickRecord):
-                urgent |= files.record(item)
-            elif item is not None:
-                item()
-            elif closing:
-                break
             due = urgent or self._clock.now_ns() >= self._flush_due_ns()
             if files.written and due and not self._behind:
                 self._flush()
@@ -201,5 +190,4 @@ class Recorder:
             _log.warning("%s", text)
         self._slow_problem = text if slow else ""
         self._files.check_space()
-        with self._condition:
-            self._behind = len(self._queue) if self._flush_took_ns > FLUSH_NS else 0
+        self._behind = self._queue.qsize() if self._flush_took_ns > FLUSH_NS else 0
