@@ -341,13 +341,10 @@ def _pose(header: Value, placing: list[float]) -> Value:
 
 def _joint_trajectory(header: Value, trajectory: JointTrajectory, arm: ArmConfig) -> Value:
     unsaid: Value = {key: [] for key in ("velocities", "accelerations", "effort")}
-
-    def point(index: int, positions: tuple[float, ...]) -> Value:
-        time_s = trajectory.times_s[index] if trajectory.times_s else index * trajectory.period_s
-        time_ns = round(time_s * NS_PER_S)
-        return unsaid | {"positions": list(positions), "time_from_start": stamp(time_ns)}
-
-    points = [point(index, positions) for index, positions in enumerate(trajectory.positions_rad)]
+    rows, period_s = trajectory.positions_rad, trajectory.period_s
+    times_s = trajectory.times_s or [index * period_s for index in range(len(rows))]
+    stamps = [stamp(round(time_s * NS_PER_S)) for time_s in times_s]
+    points = [unsaid | {"positions": [*row], "time_from_start": at} for row, at in zip(rows, stamps, strict=True)]
     return {"header": header, "joint_names": list(arm.joint_names), "points": points}
 
 

@@ -85,10 +85,8 @@ class ChunkWriter:
     def add_attachment(self, attachment: records.Attachment) -> None:
         """Attach a file; it stands before the chunk in progress."""
         a, record = attachment, _bytes(attachment)
-        index = records.AttachmentIndex(
-            self.offset, len(record), a.log_time, a.create_time, len(a.data), a.name, a.media_type
-        )
-        self._summary["attachment"].append(index)
+        about = a.log_time, a.create_time, len(a.data), a.name, a.media_type
+        self._summary["attachment"].append(records.AttachmentIndex(self.offset, len(record), *about))
         self._write(record)
 
     def add_metadata(self, name: str, facts: Mapping[str, str]) -> None:

@@ -144,10 +144,9 @@ def diff(a: Path, b: Path) -> list[dict[str, Any]]:
     ours, theirs = _quantities(a), _quantities(b)
     rows = []
     for name in dict.fromkeys([*ours, *theirs]):
-        values: list[Any] = [ours.get(name), theirs.get(name)]
-        figures = all(isinstance(value, int | float) for value in values)
-        rows.append({"quantity": name, "a": values[0], "b": values[1]})
-        rows[-1]["difference"] = values[1] - values[0] if figures else None
+        one, other = ours.get(name), theirs.get(name)
+        change = other - one if isinstance(one, int | float) and isinstance(other, int | float) else None
+        rows.append({"quantity": name, "a": one, "b": other, "difference": change})
     return rows
 
 

@@ -190,10 +190,8 @@ class Retention:
 
     def _surplus(self, stock: Stock, more_bytes: int) -> tuple[StoredLog, ...]:
         gone = surplus(stock.logs, self._limits, self._disk.free_bytes(self._folder), stock.part_bytes + more_bytes)
-        bound = self._limits.model_copy(
-            update={"quota_bytes": self._limits.snapshots_bytes, "free_bytes": 0, "max_age_s": 0.0}
-        )
-        return gone + surplus(stock.snapshots, bound, 0)
+        bound = {"quota_bytes": self._limits.snapshots_bytes, "free_bytes": 0, "max_age_s": 0.0}
+        return gone + surplus(stock.snapshots, self._limits.model_copy(update=bound), 0)
 
     def _read(self, *, at_once: bool = False) -> Stock:
         status = os.stat(self._folder)

@@ -74,7 +74,5 @@ class Rewrite:
             schema = self._log.schemas.get(channel.schema_id)
             if schema is not None and schema.id not in self._schemas:
                 self._schemas[schema.id] = self._writer.add_schema(schema.name, schema.encoding, schema.data)
-            schema_id = self._schemas.get(channel.schema_id, 0)
-            self._channels[channel.topic] = self._writer.add_channel(
-                channel.topic, channel.message_encoding, schema_id, channel.metadata
-            )
+            about = channel.message_encoding, self._schemas.get(channel.schema_id, 0), channel.metadata
+            self._channels[channel.topic] = self._writer.add_channel(channel.topic, *about)

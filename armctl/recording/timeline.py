@@ -228,10 +228,8 @@ def _frames(log: LogFile, arm: ArmConfig, found: dict[str, Payloads]) -> dict[st
     order, shape = np.argsort(places), (len(places), len(arm.joints))
     places, time_ns = places[order], np.concatenate([table.log_time_ns for table in cycles])[order].astype(np.int64)
     with log.as_written(channels.CYCLE):
-        tick, inputs_only, *told = (
-            np.concatenate([table.columns[key] for table in cycles])[order]
-            for key in ("tick", "inputs_only", *CYCLE_KEYS)
-        )
+        keys = ("tick", "inputs_only", *CYCLE_KEYS)
+        tick, inputs_only, *told = (np.concatenate([table.columns[key] for table in cycles])[order] for key in keys)
         values: dict[str, Any] = {"time_ns": time_ns, "tick": tick.astype(np.int64), "cycle": np.stack(told, axis=1)}
     values |= {key: np.full(shape, math.nan) for key in _OF_JOINTS}
     values |= {key: np.zeros(shape, np.bool_) for key in ("torque_enabled", "fresh")}
