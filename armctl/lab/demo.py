@@ -293,13 +293,10 @@ def _finish(
     with stage("writing the report", 1) as show:
         line.write(report, out / "report.html")
         show(1, "")
+    refined = [ran for ran in runs if ran.goals == "refined"]
     return {
         "rows": [_row(ran) for ran in runs if ran.goals != "refined"],
-        "refined": [
-            {**_row(ran), **{key: ran.answer[key] for key in ("rounds", "plan")}}
-            for ran in runs
-            if ran.goals == "refined"
-        ],
+        "refined": [{**_row(ran), "rounds": ran.answer["rounds"], "plan": ran.answer["plan"]} for ran in refined],
         **{who: {key: value for key, value in optimised[who].items() if key != "tool_m"} for who in ("ga", "exact")},
         "gap_ratio": optimised["gap_ratio"],
         "baseline": optimised["baseline"],

@@ -84,24 +84,15 @@ def unseen_mm(rig: Rig, plan: Plan) -> dict[str, float]:
 
 def as_json(rig: Rig, line: Line, outcomes: Sequence[Outcome], model: LagModel | None) -> dict[str, Any]:
     """The outcomes in the terms of `armctl experiment line --json`."""
-    most = max(outcome.rounds[-1].number for outcome in outcomes)
-    refined = [
-        {
-            "round": number,
-            "rows": [
-                row(line, outcome.via, rig, found.plan, found.runs)
-                | {"kept": found.kept, "filtered_mm": found.filtered_mm}
-                for outcome in outcomes
-                for found in outcome.rounds
-                if found.number == number
-            ],
-        }
-        for number in range(most + 1)
-    ]
+    refined: dict[int, list[dict[str, Any]]] = {}
+    for outcome in outcomes:
+        for found in outcome.rounds:
+            told = {"kept": found.kept, "filtered_mm": found.filtered_mm}
+            refined.setdefault(found.number, []).append(row(line, outcome.via, rig, found.plan, found.runs) | told)
     return {
         "rows": [row(line, one.via, rig, one.best.plan, one.runs) for one in outcomes],
-        "before": refined[0]["rows"],
-        "refined": refined,
+        "before": refined[0],
+        "refined": [{"round": number, "rows": rows} for number, rows in sorted(refined.items())],
         "sag_model": None if model is None else {"lines": model.lines, "residual_tick": list(model.residual_tick)},
         "repeat_noise_mm": {str(one.via): repeat_noise_mm(one.rounds) for one in outcomes},
         "unseen": {str(one.via): unseen_mm(rig, one.best.plan) for one in outcomes},

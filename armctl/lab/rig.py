@@ -111,12 +111,7 @@ class VirtualRig:
             records = self._virtual.carry_out(Run(self._virtual.next_id(), trajectory))
         finally:
             clock.observe_from_ns = None
-        marks = {
-            event.code: record.inputs.sample.time_ns
-            for record in records
-            for event in record.outputs.events
-            if event.code in ("PLAN_BEGIN", "PLAN_END")
-        }
+        marks = {event.code: record.inputs.sample.time_ns for record in records for event in record.outputs.events}
         begin_ns = marks.get("PLAN_BEGIN", records[0].inputs.sample.time_ns)
         end_ns = marks.get("PLAN_END", records[-1].inputs.sample.time_ns)
         inside = [record for record in records if begin_ns <= record.inputs.sample.time_ns <= end_ns]

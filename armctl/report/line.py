@@ -309,10 +309,8 @@ def add_generations(page: Page, costs_mm: dict[str, Sequence[float] | FloatArray
 def _joint_figures(page: Page, shown: Sequence[Shown], joint_names: Sequence[str]) -> None:
     page.heading("Joint angles against time")
     for one in shown:
-        run = one.runs[0]
-        with page.chart(
-            f"Joint angles against time: {one.name}", f"{one.name} (dotted: the plan)", "time, s", "joint angle, deg"
-        ) as chart:
+        run, title = one.runs[0], f"{one.name} (dotted: the plan)"
+        with page.chart(f"Joint angles against time: {one.name}", title, "time, s", "joint angle, deg") as chart:
             measured, goals = np.degrees(run.positions_rad), np.degrees(run.goals_rad)
             for joint, (name, colour) in enumerate(zip(joint_names, cycle((*COLOURS, "#5a6878")), strict=False)):
                 for values, label, dash in ((measured, name, "solid"), (goals, f"{name} commanded", "dot")):
