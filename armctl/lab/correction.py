@@ -9,7 +9,7 @@ from armctl.lab.rig import Rig
 from armctl.messages import LagModel
 from armctl.trajectory.course import Course, plan_of
 from armctl.trajectory.plan import Plan
-from armctl.trajectory.refinement import ASTRAY, Refinement, Round, following, seen_mm
+from armctl.trajectory.refinement import ASTRAY, Measured, Refinement, Round, following, seen_mm
 
 
 def run(rig: Rig, course: Course, plan: Plan, number: int, *, corrected: bool = True) -> Round:
@@ -58,9 +58,8 @@ def refine(rig: Rig, first: Round, rounds: int, show: Callable[[Round], None] = 
     one = following(steps)
     while one is not None:
         try:
-            measured = rig.run(one.plan, corrected=one.corrected)
+            told: Measured | RequestRefused = rig.run(one.plan, corrected=one.corrected)
         except RequestRefused as refusal:
-            one = following(steps, refusal)
-        else:
-            one = following(steps, measured)
+            told = refusal
+        one = following(steps, told)
     return work.rounds

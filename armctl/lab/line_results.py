@@ -115,7 +115,6 @@ def line_run(chain: SerialChain, via: Via, plan: Plan, measured: Measured) -> Li
     def tool_m(q: FloatArray) -> FloatArray:
         return tool_position(chain, q[:, : chain.n])
 
-    time_s = measured.time_s
     return LineRun(
         via=via,
         duration_s=measured.duration_s,
@@ -123,9 +122,9 @@ def line_run(chain: SerialChain, via: Via, plan: Plan, measured: Measured) -> Li
         predicted_max_mm=plan.predicted_max_error_mm,
         predicted_tool_m=tool_m(plan_positions(plan, np.linspace(0.0, plan.duration_s, PREDICTED_POINTS))),
         via_tool_m=tool_m(np.array(plan.waypoints_rad)[1:-1]),
-        time_s=time_s,
+        time_s=measured.time_s,
         positions_rad=measured.positions_rad,
-        goals_rad=plan_positions(plan, np.clip(time_s, 0.0, plan.duration_s)),
+        goals_rad=plan_positions(plan, np.clip(measured.time_s, 0.0, plan.duration_s)),
         tool_m=tool_m(measured.positions_rad),
         truth_tool_m=measured.true_tool_m,
     )

@@ -62,11 +62,8 @@ def unseen_m(time_s: FloatArray, tool_m: FloatArray, run: Recording, chain: Seri
     begin_s, end_s = run.plan_s
     duration_s = end_s - begin_s
     if time_s[0] > 0.1 * duration_s or time_s[-1] < 0.9 * duration_s:
-        raise RequestRefused(
-            "MEASURED",
-            f"the measurement covers {time_s[0]:.2f} to {time_s[-1]:.2f} s of a plan of {duration_s:.2f} s; "
-            "measure all of it, time counted from the plan's begin",
-        )
+        covered = f"the measurement covers {time_s[0]:.2f} to {time_s[-1]:.2f} s of a plan of {duration_s:.2f} s"
+        raise RequestRefused("MEASURED", f"{covered}; measure all of it, time counted from the plan's begin")
     at_s = np.linspace(0.0, duration_s, EVEN)
     by_encoder = tool_position(chain, columns_at(at_s, run.time_s - begin_s, run.positions_rad[:, : chain.n]))
     return smoothed(columns_at(at_s, time_s, tool_m) - by_encoder, 1.0 / (EVEN - 1), SMOOTH)

@@ -173,11 +173,9 @@ class DaemonRig:
             measured = measured_run(recordings.load(path), float(answer["duration_s"]))
             if not self.was_disturbed(plan, measured):
                 return measured
-        raise RequestRefused(
-            "DISTURBED",
-            f"{TRIES} runs in a row took {measured.duration_s:.2f} s or so instead of {plan.duration_s:.2f} s: servos "
-            "miss readings and the arm waits for them; see `armctl doctor`",
-        )
+        took = f"{TRIES} runs in a row took {measured.duration_s:.2f} s or so instead of {plan.duration_s:.2f} s"
+        why = "servos miss readings and the arm waits for them; see `armctl doctor`"
+        raise RequestRefused("DISTURBED", f"{took}: {why}")
 
     def was_disturbed(self, plan: Plan, measured: Measured) -> bool:
         """Whether a run waited for a silent servo, and so took longer than its plan."""

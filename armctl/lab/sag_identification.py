@@ -11,9 +11,9 @@ from armctl.lab.course import courses, too_heavy
 from armctl.lab.rig import Rig
 from armctl.messages import LagModel
 from armctl.trajectory import lag
-from armctl.trajectory.course import Course, Line, course_of, plan_of
+from armctl.trajectory.course import Line, plan_of, ticks_of
 from armctl.trajectory.line_path import line_paths
-from armctl.trajectory.plan import Plan, lead
+from armctl.trajectory.plan import Plan, lead, plan_positions
 from armctl.trajectory.refinement import Measured, lag_of, smoothed
 
 LINES = 8
@@ -85,7 +85,7 @@ def identify(rig: Rig, rng: np.random.Generator, show: Callable[[int], None] = l
                 raise
             why = str(refusal)
             continue
-        seen.append(_told(rig, course, plan, measured))
+        seen.append(_told(rig, course.goals_rad, plan, measured))
         show(len(seen))
     if len(seen) < LINES:
         reasons = f"only {len(seen)} of {LINES} calibration lines could be run", f"the last that could not: {why}"
@@ -98,12 +98,15 @@ def learnt(rig: Rig, runs: Sequence[tuple[Plan, Measured]]) -> LagModel:
 
     What runs do not show of an arm stays as the nominal model has it.
     """
-    seen = [_told(rig, course_of(rig, plan), plan, measured) for plan, measured in runs]
+    seen = []
+    for plan, measured in runs:
+        ticks: FloatArray = np.arange(ticks_of(plan.duration_s, rig.period_s), dtype=np.float64)
+        seen.append(_told(rig, plan_positions(plan, ticks * rig.period_s), plan, measured))
     return lag.fitted(rig.arm, rig.robot.chain, seen)
 
 
-def _told(rig: Rig, course: Course, plan: Plan, measured: Measured) -> lag.Summary:
-    """What an uncorrected run tells of how each joint lags."""
+def _told(rig: Rig, goals_rad: FloatArray, plan: Plan, measured: Measured) -> lag.Summary:
+    """What an uncorrected run tells of how each joint lags behind its goals at every tick."""
     chain, lags = rig.robot.chain, lag_of(rig, plan, measured)
-    q = course.goals_rad - smoothed(lags, rig.period_s)
+    q = goals_rad[:, : chain.n] - smoothed(lags, rig.period_s)
     return lag.summary(lags, lag.regressors(chain, q, lead(plan)[: chain.n], rig.period_s))
