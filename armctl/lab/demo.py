@@ -111,22 +111,12 @@ def run(out: Path, seed: int, stage: Stage, arm_name: str = "ax12-line") -> dict
     if (ends_m := line_in_reach(arm, range(seed * 1000, seed * 1000 + TAKES))) is None:
         remedy = "`armctl try` takes it, and `armctl hand` any line"
         raise ConfigError(arm_name, "", "none of the demonstration's lines is in this arm's reach", remedy)
-    make_room(out)
+    own_arm = out / f"{arm.arm_id}.yaml"
     with ExitStack() as cleanup:
         sockets = Path(cleanup.enter_context(tempfile.TemporaryDirectory(prefix="armctl-")))
         port, socket = sockets / "servos", sockets / "daemon.sock"
-        config, own_arm = out / "armctl.yaml", out / f"{arm.arm_id}.yaml"
-        # An arm's file of its own, so that what is learnt here stays here.
-        own_arm.write_text(whole_text(arm_name), encoding="utf-8")
-        told = {"arm": str(own_arm), "port": str(port), "data_dir": str(out)}
-        config.write_text(yaml.safe_dump(told), encoding="utf-8")
         with stage("starting", 2) as show:
-            simulator = ("sim", "--arm", str(own_arm), "--link", str(port), "--seed", str(seed), "--lockstep")
-            cleanup.enter_context(program(out / "simulator.log", *simulator))
-            show(1, "simulated servos")
-            daemon = ("daemon", "--config", str(config), "--socket", str(socket))
-            cleanup.enter_context(program(out / "daemon.log", *daemon))
-            show(2, "daemon")
+            start(cleanup, arm_name, own_arm, port, socket, show, "--seed", str(seed), "--lockstep")
         session = _Session(
             client=cleanup.enter_context(Client(socket)),
             watcher=cleanup.enter_context(Client(socket)).subscribe(),
@@ -333,6 +323,26 @@ def line_in_reach(arm: ArmConfig, seeds: Iterable[int] = (0,)) -> Ends | None:
                 hand.guide(np.array(A), np.array(B), seed=seed)
             return A, B
     return None
+
+
+def start(
+    cleanup: ExitStack, arm: str, own_arm: Path, port: Path, socket: Path, show: Progress, *options: str
+) -> tuple[str, ...]:
+    """Start simulated servos and their daemon in an empty folder; how to tell others of them. `cleanup` ends them.
+
+    `own_arm` becomes an arm's file of its own there, so that what is learnt stays; `options` are those of `armctl sim`.
+    """
+    folder, config = own_arm.parent, own_arm.with_name("armctl.yaml")
+    make_room(folder)
+    own_arm.write_text(whole_text(arm), encoding="utf-8")
+    told = {"arm": str(own_arm), "port": str(port), "data_dir": str(folder)}
+    config.write_text(yaml.safe_dump(told), encoding="utf-8")
+    common, servos = ("--config", str(config), "--socket", str(socket)), ("--arm", str(own_arm), "--link", str(port))
+    cleanup.enter_context(started(folder / "simulator.log", "sim", *servos, *options))
+    show(1, "simulated servos")
+    cleanup.enter_context(started(folder / "daemon.log", "daemon", *common))
+    show(2, "daemon")
+    return common
 
 
 @contextmanager

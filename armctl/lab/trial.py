@@ -8,13 +8,10 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from armctl.client import Client
-from armctl.commissioning.arm_file import whole_text
 from armctl.errors import RequestRefused
 from armctl.files import load_arm
-from armctl.lab.demo import Ends, line_in_reach, make_room, started
+from armctl.lab.demo import Ends, line_in_reach, start, started
 from armctl.lab.stage import Stage
 from armctl.sim.control import SimulatorClient, control_path
 
@@ -79,19 +76,9 @@ def trial(folder: Path, arm: str, socket: Path, link: Path, port: int, stage: St
         ConfigError: there is no such arm.
     """
     played = load_arm(arm)
-    make_room(folder)
-    own_arm, config = folder / f"{played.arm_id}.yaml", folder / "armctl.yaml"
-    own_arm.write_text(whole_text(arm), encoding="utf-8")
-    told = {"arm": str(own_arm), "port": str(link), "data_dir": str(folder)}
-    config.write_text(yaml.safe_dump(told), encoding="utf-8")
-    common = ("--config", str(config), "--socket", str(socket))
     with ExitStack() as cleanup:
         with stage("starting", 3) as show:
-            servos = ("sim", "--arm", str(own_arm), "--link", str(link))
-            cleanup.enter_context(started(folder / "simulator.log", *servos))
-            show(1, "simulated servos")
-            cleanup.enter_context(started(folder / "daemon.log", "daemon", *common))
-            show(2, "daemon")
+            common = start(cleanup, arm, folder / f"{played.arm_id}.yaml", link, socket, show)
             _, address = cleanup.enter_context(started(folder / "web.log", "web", "--port", str(port), *common))
             show(3, "dashboard")
         snapshots = cleanup.enter_context(Client(socket)).subscribe()
