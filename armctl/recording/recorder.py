@@ -27,7 +27,7 @@ from armctl.messages import TickRecord
 from armctl.recording.compact import Compaction
 from armctl.recording.disk import DISK, Disk
 from armctl.recording.recordings import take_path
-from armctl.recording.rotation import LOG, SNAPSHOT, TAKE, Compactor, Files
+from armctl.recording.rotation import LOG, SNAPSHOT, TAKE, Compactor, Files, WallClock
 from armctl.recording.writer import LogContext
 
 QUEUE_RECORDS = 3000
@@ -58,7 +58,7 @@ class Recorder:
         recordings_dir: Path,
         *,
         clock: Clock | None = None,
-        wall_ns: Callable[[], int] = time.time_ns,
+        wall_ns: WallClock = time.time_ns,
         queue_records: int = QUEUE_RECORDS,
         disk: Disk = DISK,
         compactor: Compactor | None = None,

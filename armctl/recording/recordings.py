@@ -32,7 +32,7 @@ from armctl.recording.reader import read
 from armctl.recording.recover import recover
 from armctl.trajectory.dead_time import moving_part
 from armctl.trajectory.playback import DECIMALS, TaughtMotion
-from armctl.trajectory.straightness import max_error, mean_error
+from armctl.trajectory.straightness import errors_mm
 
 SUFFIX = ".mcap"
 # Ends closer than this make no line: their distance is rounding, not motion (a servo tick moves the tool far more).
@@ -256,35 +256,29 @@ def describe(
             where these make no line.
         with_marks: Whether to look for marked via points as well, which reads the file once more.
     """
-    errors_m = None
+    errors: tuple[float | None, float | None] = (None, None)
     # Positions may be any number a float can hold: what overflows becomes None below.
     with np.errstate(all="ignore"):
         played = recording.played
         part_rad = recording.positions_rad[played, : robot.chain.n]
         if len(part_rad) and part_rad.shape[1] == robot.chain.n and np.isfinite(part_rad).all():
-            errors_m = _errors_m(tool_position(robot.chain, part_rad), line)
-    mean_m, max_m = errors_m or (None, None)
+            points_m = tool_position(robot.chain, part_rad)
+            A, B = (np.asarray(end, np.float64) for end in line or (points_m[0], points_m[-1]))
+            if np.linalg.norm(B - A) > MIN_LINE_M:
+                errors = errors_mm(points_m, A, B)
     return {
         "name": recording.name,
         "path": str(recording.path),
         "duration_s": recording.duration_s,
         "samples": recording.samples,
-        "mean_error_mm": None if mean_m is None else 1e3 * mean_m,
-        "max_error_mm": None if max_m is None else 1e3 * max_m,
+        "mean_error_mm": errors[0],
+        "max_error_mm": errors[1],
         "arm_id": recording.arm_id,
         "calibration_hash": recording.calibration_hash,
         "complete": recording.complete,
         "dead_samples": [0, 0] if recording.plan_s else [played.start, recording.samples - played.stop],
         **({"marks": via_marks(recording.path)} if with_marks else {}),
     }
-
-
-def _errors_m(points_m: FloatArray, line: Line | None) -> tuple[float, float] | None:
-    """Mean and largest distance to the line [m]; None where its ends make none."""
-    A, B = (np.asarray(end, np.float64) for end in line or (points_m[0], points_m[-1]))
-    if not np.linalg.norm(B - A) > MIN_LINE_M:
-        return None
-    return float(mean_error(points_m, A, B)), float(max_error(points_m, A, B))
 
 
 def via_marks(path: Path) -> list[dict[str, Any]]:

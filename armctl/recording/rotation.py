@@ -45,6 +45,8 @@ WIRE_BEFORE_NS, WIRE_AFTER_NS = 2 * NS_PER_S, NS_PER_S
 MAX_WIRE = 8000
 LOG, TAKE, SNAPSHOT = "log", "take", "snapshot"
 Ticks = tuple[TickRecord, ...]
+# Tells epoch time [ns].
+WallClock = Callable[[], int]
 # Compacts the finished logs of a folder, some time.
 Compactor = Callable[[Path], object]
 _log = logging.getLogger(__name__)
@@ -96,14 +98,7 @@ class Files:
     """
 
     def __init__(
-        self,
-        context: LogContext,
-        folder: Path,
-        *,
-        clock: Clock,
-        wall_ns: Callable[[], int],
-        disk: Disk,
-        compactor: Compactor,
+        self, context: LogContext, folder: Path, *, clock: Clock, wall_ns: WallClock, disk: Disk, compactor: Compactor
     ) -> None:
         # Why there is no log, or no take any more. Other threads read these two.
         self.log_problem = self.take_problem = ""
@@ -111,7 +106,7 @@ class Files:
         self.written = False
         self._context, self._folder, self._disk = context, folder, disk
         self._clock, self._compactor = clock, compactor
-        self._wall_ns: Callable[[], int] = lambda: wall_ns() % STAMPS_NS
+        self._wall_ns: WallClock = lambda: wall_ns() % STAMPS_NS
         self._open: dict[str, LogWriter] = {}
         self._history = History(context.config.log.snapshot_s, context.period_s)
         self._last: TickRecord | None = None
