@@ -344,7 +344,7 @@ def _joint_trajectory(header: Value, trajectory: JointTrajectory, arm: ArmConfig
     rows, period_s = trajectory.positions_rad, trajectory.period_s
     times_s = trajectory.times_s or [index * period_s for index in range(len(rows))]
     stamps = [stamp(round(time_s * NS_PER_S)) for time_s in times_s]
-    points = [unsaid | {"positions": [*row], "time_from_start": at} for row, at in zip(rows, stamps, strict=True)]
+    points = [unsaid | {"positions": [*row], "time_from_start": at} for row, at in zip(rows, stamps, strict=False)]
     return {"header": header, "joint_names": list(arm.joint_names), "points": points}
 
 
