@@ -2,16 +2,14 @@
 
 from armctl.config import ArmConfig, ChainTable
 from armctl.errors import ConfigError
-from armctl.kinematics.robots.papers import AX12_LINE, LANZHOU, PUMA, TRANSFER, XIANG
+from armctl.kinematics.robots.papers import ROBOTS
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.robots.table import robot_of
-
-_ROBOTS = {robot.name: robot for robot in (XIANG, PUMA, AX12_LINE, LANZHOU, TRANSFER)}
 
 
 def names() -> tuple[str, ...]:
     """Every robot's name."""
-    return tuple(_ROBOTS)
+    return tuple(ROBOTS)
 
 
 def get(name: str | ChainTable, lengths_m: dict[str, float] | None = None) -> Robot:
@@ -22,9 +20,9 @@ def get(name: str | ChainTable, lengths_m: dict[str, float] | None = None) -> Ro
     """
     if isinstance(name, ChainTable):
         return robot_of(name, name.urdf or "table").with_lengths(lengths_m or {})
-    if name not in _ROBOTS:
-        raise ConfigError("robot", name, "no such robot", f"known: {', '.join(_ROBOTS)}")
-    return _ROBOTS[name].with_lengths(lengths_m or {})
+    if name not in ROBOTS:
+        raise ConfigError("robot", name, "no such robot", f"known: {', '.join(ROBOTS)}")
+    return ROBOTS[name].with_lengths(lengths_m or {})
 
 
 def of(arm: ArmConfig) -> Robot:

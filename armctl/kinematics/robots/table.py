@@ -5,7 +5,6 @@ Every length of the table that is not 0 has a name by its column and row: `a2`, 
 """
 
 import math
-from collections.abc import Callable
 from itertools import chain
 
 import numpy as np
@@ -25,10 +24,6 @@ def robot_of(table: ChainTable, name: str, ranges_deg: tuple[tuple[float, float]
     numbered = [(f"{key}{i}", getattr(row, f"{key}_m")) for i, row in enumerate(table.dh, 1) for key in "abd"]
     tool = zip(("tool_x", "tool_y", "tool_z"), table.tool_m, strict=True)
     lengths_m = {key: float(length) for key, length in chain(numbered, tool) if length}
-    return Robot(name, table.urdf or "a table in the arm's file", lengths_m, _maker(table), ranges_deg)
-
-
-def _maker(table: ChainTable) -> Callable[[dict[str, float]], SerialChain]:
     angles = [tuple(map(math.radians, (row.alpha_deg, row.theta_deg, row.beta_deg))) for row in table.dh]
     R = matrix_from_rpy(*map(math.radians, table.tool_rpy_deg))
 
@@ -40,7 +35,7 @@ def _maker(table: ChainTable) -> Callable[[dict[str, float]], SerialChain]:
         p = np.array([lengths.get(f"tool_{axis}", 0.0) for axis in "xyz"])
         return SerialChain(tuple(rows), table.convention, tool=row_of(R, p))
 
-    return made
+    return Robot(name, table.urdf or "a table in the arm's file", lengths_m, made, ranges_deg)
 
 
 def row_of(R: FloatArray, p: FloatArray) -> DHRow:
