@@ -10,7 +10,7 @@ that are as near, the one whose first joint that differs stands higher comes fir
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise
 from typing import Literal
 
@@ -142,7 +142,7 @@ def solve(
     if not _errors(robot, target, present[None])[2][0]:
         return found
     # The arm is there: it stays.
-    here = Solution(tuple(present.tolist()), True, _judge(robot, target))
+    here = Solution(tuple(present.tolist()), True, partial(_missed, robot, target))
     others = [one for one in found.solutions if np.abs(present - one.q_rad).max() > SAME_RAD]
     return Answer(True, 0.0, (here, *(others if found.reachable else ())))
 
@@ -166,7 +166,7 @@ def answer(
     inside = within_limits(q[keep], limits)
     misses = np.zeros(len(keep)) if reached.any() else np.round(position_m + turn_rad, 9)[keep]
     order = keep[_order(q[keep], weighted_travel(q[keep], present, limits), ~inside, misses)]
-    judge = _judge(robot, target)
+    judge = partial(_missed, robot, target)
     solutions = [Solution(tuple(one.tolist()), bool(within_limits(one, limits)), judge) for one in _distinct(q[order])]
     return Answer(bool(reached.any()), least, tuple(solutions))
 
@@ -196,16 +196,13 @@ def _alone(form: ClosedForm, robot: Robot, target: Target, present: FloatArray, 
         found.sort(key=lambda one: (one[0], round(one[1], EQUAL_DIGITS), [-round(at, EQUAL_DIGITS) for at in one[2]]))
     if not found or found[0][0] or found[0][1] < NEAR_RAD:
         return None
-    judge = _judge(robot, target)
+    judge = partial(_missed, robot, target)
     return Answer(True, 0.0, tuple(Solution(q, not outside, judge) for outside, _, q in found))
 
 
-def _judge(robot: Robot, target: Target) -> Callable[[tuple[float, ...]], tuple[float, float]]:
-    def judge(q: tuple[float, ...]) -> tuple[float, float]:
-        position_m, turn_rad, _ = _errors(robot, target, np.array([q]))
-        return float(position_m[0]), float(turn_rad[0])
-
-    return judge
+def _missed(robot: Robot, target: Target, q: tuple[float, ...]) -> tuple[float, float]:
+    position_m, turn_rad, _ = _errors(robot, target, np.array([q]))
+    return float(position_m[0]), float(turn_rad[0])
 
 
 def _found(

@@ -34,8 +34,7 @@ from armctl.trajectory.line_path import (
     point_text,
     turning_too,
 )
-from armctl.trajectory.plan import CHECK_PERIOD_S, led_in
-from armctl.trajectory.preflight import preflight_motion
+from armctl.trajectory.plan import against, led_in
 from armctl.trajectory.reference import ReferencePath
 from armctl.trajectory.tool_path import Outline, PathRequest
 
@@ -93,11 +92,10 @@ def path_motion(
         for _ in range(TIMES_LONGER):
             progress = _progress(pace_s, duration_s)
             motion = _motion(way, progress, duration_s, q_now[robot.chain.n :])
-            reasons = _against(motion, duration_s, arm, robot, q_now)
+            reasons = against(motion, duration_s, arm, robot, q_now, early_s=EARLY_S)
             if not reasons:
-                return PathMotion(
-                    led_in(motion, duration_s, arm, q_now, period_s, "path", early_s=EARLY_S), *_told(outline, progress)
-                )
+                whole = led_in(motion, duration_s, arm, q_now, period_s, "path", early_s=EARLY_S)
+                return PathMotion(whole, *_told(outline, progress))
             if request.duration_s is not None or not all("give it a duration" in reason for reason in reasons):
                 break
             duration_s = min(LONGER * duration_s, LONGEST_S)
@@ -204,13 +202,6 @@ def _motion(
         return np.concatenate([q, np.tile(np.asarray(others, dtype=np.float64), (len(q), 1))], axis=1)
 
     return positions
-
-
-def _against(
-    motion: Motion, duration_s: float, arm: ArmConfig, robot: Robot, q_now: Sequence[float]
-) -> tuple[str, ...]:
-    whole = led_in(motion, duration_s, arm, q_now, CHECK_PERIOD_S, "path", early_s=EARLY_S)
-    return preflight_motion(np.array(whole.positions_rad), CHECK_PERIOD_S, arm, robot, duration_s=duration_s)
 
 
 def _told(outline: Outline, progress: tuple[FloatArray, FloatArray]) -> tuple[ReferencePath, FloatArray]:

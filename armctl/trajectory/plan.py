@@ -188,6 +188,23 @@ def led_in(
     return approached(ways, motion, duration_s, period_s, label)
 
 
+def against(
+    motion: Callable[[FloatArray], FloatArray],
+    duration_s: float,
+    arm: ArmConfig,
+    robot: Robot,
+    q_now: Sequence[float],
+    *,
+    early_s: float = math.inf,
+) -> tuple[str, ...]:
+    """Every reason why a motion, led in as `led_in` does, must not run from `q_now` [rad]; empty: it may.
+
+    Looks at the whole motion, approach included, every `CHECK_PERIOD_S`.
+    """
+    whole = led_in(motion, duration_s, arm, q_now, CHECK_PERIOD_S, "", early_s=early_s)
+    return preflight_motion(np.array(whole.positions_rad), CHECK_PERIOD_S, arm, robot, duration_s=duration_s)
+
+
 def approached(
     ways: Sequence[tuple[FloatArray, FloatArray, float]],
     motion: Callable[[FloatArray], FloatArray],
@@ -235,10 +252,7 @@ def _lead(motion: Callable[[FloatArray], FloatArray], early_s: float) -> FloatAr
 
 
 def preflight(plan: Plan, arm: ArmConfig, robot: Robot, q_now: Sequence[float]) -> tuple[str, ...]:
-    """Every reason why the plan must not run on this arm from `q_now`; empty: it may.
-
-    Looks at the whole motion, approach included, every 0.02 s.
-    """
+    """Every reason why the plan must not run on this arm from `q_now`; empty: it may."""
     reasons = []
     if plan.arm_id != arm.arm_id:
         reasons.append(f"the plan was made for arm {plan.arm_id!r}, this is {arm.arm_id!r}; optimise for this arm")
@@ -252,6 +266,4 @@ def preflight(plan: Plan, arm: ArmConfig, robot: Robot, q_now: Sequence[float]) 
         return (*reasons, f"the plan moves {len(plan.waypoints_rad[0])} joints, the arm has {joints}")
     if len(q_now) != joints or not all(map(math.isfinite, q_now)):
         return (*reasons, f"the arm stands at {list(q_now)}, not {joints} known joint angles; connect it first")
-
-    q = np.array(joint_trajectory(plan, arm, q_now, CHECK_PERIOD_S).positions_rad)
-    return (*reasons, *preflight_motion(q, CHECK_PERIOD_S, arm, robot, duration_s=plan.duration_s))
+    return (*reasons, *against(partial(plan_positions, plan), plan.duration_s, arm, robot, q_now))

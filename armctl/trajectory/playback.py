@@ -32,8 +32,8 @@ from armctl.kinematics.transform import FloatArray
 from armctl.messages import LONGEST_S, JointTrajectory
 from armctl.trajectory.bounds import Joints
 from armctl.trajectory.interpolate import columns_at
-from armctl.trajectory.plan import CHECK_PERIOD_S, led_in
-from armctl.trajectory.preflight import EDGE_TICKS, ROUNDING, peak_tool_speed, preflight_motion, times_too_fast
+from armctl.trajectory.plan import CHECK_PERIOD_S, against, led_in
+from armctl.trajectory.preflight import EDGE_TICKS, ROUNDING, peak_tool_speed, times_too_fast
 from armctl.trajectory.reference import ReferencePath
 from armctl.trajectory.smoothing import local_cubics
 
@@ -185,14 +185,9 @@ class Playback:
         def motion(time_s: FloatArray) -> FloatArray:
             return columns_at(self.taught_at(time_s), self.taught_s, kept)
 
-        def led(every_s: float) -> JointTrajectory:
-            return led_in(motion, self.duration_s, self.arm, q_now, every_s, "play", early_s=EARLY_S)
-
-        q = np.array(led(CHECK_PERIOD_S).positions_rad)
-        reasons = preflight_motion(q, CHECK_PERIOD_S, self.arm, self.robot, duration_s=self.duration_s)
-        if reasons:
+        if reasons := against(motion, self.duration_s, self.arm, self.robot, q_now, early_s=EARLY_S):
             raise RequestRefused("PREFLIGHT", self._with_rate(reasons, kept))
-        return led(period_s)
+        return led_in(motion, self.duration_s, self.arm, q_now, period_s, "play", early_s=EARLY_S)
 
     def _with_rate(self, reasons: Sequence[str], kept: FloatArray) -> list[str]:
         """The reasons, with the rate that would do in place of a duration."""

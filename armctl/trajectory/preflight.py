@@ -60,10 +60,12 @@ def preflight_motion(
         return (f"the motion has a row every {period_s} s; the period must be above 0",)
     if duration_s is None:
         duration_s = period_s * (len(q) - 1)
+    tool_m = tool_position(robot.chain, q[:, : robot.chain.n])
+    tool_m_s, bound_m_s = peak_tool_speed(tool_m, period_s), arm.tool_speed_limit_m_s
     return (
         *_against_start(q[0], start_rad, arm),
         *_against_joints(q, period_s, arm, duration_s),
-        *_against_tool_speed(tool_position(robot.chain, q[:, : robot.chain.n]), period_s, arm, duration_s),
+        *_too_fast("the tool", tool_m_s, bound_m_s, "m/s", 1.0, duration_s, digits=3),
         *_against_contact(_every_degree(q, period_s, arm), arm, robot),
     )
 
@@ -115,15 +117,22 @@ def _against_joints(q: FloatArray, period_s: float, arm: ArmConfig, duration_s: 
     speed, acceleration = np.degrees(peak_rates(q, period_s))
     for i, joint in enumerate(arm.joints):
         yield from _against_limits(joint, q[:, i])
-        for value, bound, unit, power in (
+        for asked in (
             (float(speed[i]), joint.speed_limit_deg_s, "deg/s", 1.0),
             (float(acceleration[i]), joint.acceleration_limit_deg_s2, "deg/s2", 0.5),
         ):
-            if value > bound * ROUNDING:
-                yield (
-                    f"{joint.name} would reach {value:.1f} {unit}, at most {bound:.1f} {unit}; "
-                    f"give it a duration of {duration_s * (value / bound) ** power:.1f} s or more"
-                )
+            yield from _too_fast(joint.name, *asked, duration_s)
+
+
+def _too_fast(
+    who: str, value: float, bound: float, unit: str, power: float, duration_s: float, *, digits: int = 1
+) -> Iterator[str]:
+    """What is against a speed, or an acceleration, which falls with the square of the duration (`power` 0.5)."""
+    if value > bound * ROUNDING:
+        yield (
+            f"{who} would reach {value:.{digits}f} {unit}, at most {bound:.{digits}f} {unit}; "
+            f"give it a duration of {duration_s * (value / bound) ** power:.1f} s or more"
+        )
 
 
 def _against_limits(joint: JointConfig, column: FloatArray) -> Iterator[str]:
@@ -138,15 +147,6 @@ def _against_limits(joint: JointConfig, column: FloatArray) -> Iterator[str]:
         yield (
             f"{joint.name} {verb} {math.degrees(position_rad):.1f} deg, outside its limits {low_deg:.1f} to "
             f"{high_deg:.1f} deg{dead}"
-        )
-
-
-def _against_tool_speed(tool_m: FloatArray, period_s: float, arm: ArmConfig, duration_s: float) -> Iterator[str]:
-    speed_m_s, bound_m_s = peak_tool_speed(tool_m, period_s), arm.tool_speed_limit_m_s
-    if speed_m_s > bound_m_s * ROUNDING:
-        yield (
-            f"the tool would reach {speed_m_s:.3f} m/s, at most {bound_m_s:.3f} m/s; "
-            f"give it a duration of {duration_s * speed_m_s / bound_m_s:.1f} s or more"
         )
 
 
