@@ -41,13 +41,9 @@ class ReachabilityMap:
 
 def extents(chain: SerialChain, limits: FloatArray, rng: np.random.Generator) -> FloatArray:
     """Least and greatest x, y and z of the tool [m], shape (3, 2), over the joint ranges [rad], shape (n, 2)."""
-    found = np.empty((3, 2))
-    for axis in range(3):
-        for side, sign in enumerate((-1.0, 1.0)):
-            direction = np.zeros(3)
-            direction[axis] = sign
-            found[axis, side] = sign * _furthest(chain, limits, direction, rng)
-    return found
+    # The sum makes a zero of what would be -0.
+    found = [[sign * _furthest(chain, limits, sign * axis + 0.0, rng) for sign in (-1.0, 1.0)] for axis in np.eye(3)]
+    return np.array(found)
 
 
 def cloud(chain: SerialChain, limits: FloatArray, samples: int, rng: np.random.Generator) -> FloatArray:

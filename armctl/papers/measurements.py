@@ -205,21 +205,9 @@ def _lanzhou(rng: np.random.Generator) -> Measured:
     turns = {name: np.array([values["theta_i"] if name == "Rot_z(theta_i)" else 0.0]) for name in about}
     motions = {name: forward_kinematics(SerialChain((DHRow(**row),)), turns[name]) for name, row in about.items()}
     bent_up = q[2] < 0.0
-    matrices = {
-        "(1), left": [[_meant(motions, link)]],
-        "(1)": link,
-        "(2), names": T,
-        "(2)": T,
-        "Table 1": table,
-    }
-    sides = {
-        "(4)": along**2,
-        "(5)": math.cos(q[2]),
-        "(7)": math.cos(alpha),
-        "(8)": total,
-        "(9)": q[3],
-        "(10)": weighted,
-    }
+    matrices = {"(1), left": [[_meant(motions, link)]], "(1)": link, "(2), names": T, "(2)": T, "Table 1": table}
+    sides = {"(4)": along**2, "(5)": math.cos(q[2]), "(7)": math.cos(alpha)}
+    sides |= {"(8)": total, "(9)": q[3], "(10)": weighted}
     others = {"(3)": [[math.tan(q[0])] * 2, [q[0]] * 2], "(6)": [[math.tan(beta)] * 2, [beta] * 2]}
     others |= {"(11)": [[span * rand]], "(12)": [[values["theta_i"], least + span * rand]]}
     others["after (7)"] = [[q[1], q[1] if bent_up else None, None if bent_up else q[1]]]
@@ -239,16 +227,11 @@ def _transfer(rng: np.random.Generator) -> Measured:
     said = {"Z_i x iPn0": levers, "Z_i x (0R iPn)": levers, "Z_i": axes}
     speeds = {"V": rate @ columns, "dX/dt": tool_rate(chain, q, rate), "J(q) dq/dt": J @ rate}
     ways = {"0T6": T, "0T1 (1T2) (2T3) (3T4) (4T5) (5T6)": reduce(np.matmul, _links(frames))}
-    shown = zip(_rows(link_frames(robots.get("transfer-6dof").chain, q), 1e3, modified=True), INITIAL_DEG, strict=True)
+    angles = [_says(f"theta_{n}={deg:g}{'°' * bool(deg)}", 0.0) for n, deg in enumerate(INITIAL_DEG, 1)]
+    shown = _rows(link_frames(robots.get("transfer-6dof").chain, q), 1e3, modified=True)
     table = [
-        [
-            n,
-            _says(f"a_{n - 1}={a:g}", a),
-            alpha,
-            _says(f"d_{n}={d:g}", d),
-            _says(f"theta_{n}={deg:g}{'°' * bool(deg)}", 0.0),
-        ]
-        for (n, a, alpha, d), deg in shown
+        [n, _says(f"a_{n - 1}={a:g}", a), alpha, _says(f"d_{n}={d:g}", d), angle]
+        for (n, a, alpha, d), angle in zip(shown, angles, strict=True)
     ]
     return values | lengths | _pose(T) | _named("theta", q), {
         "Table 1": table,

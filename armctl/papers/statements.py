@@ -101,6 +101,14 @@ def _out_of_range(*q_deg: float) -> float:
     return max(max(low - q, q - high, 0.0) for q, (low, high) in zip(q_deg, LANZHOU_RANGES_DEG, strict=True))
 
 
+def _fig_5_range() -> tuple[float, float]:
+    return _out_of_range(*FIG_5_DEG), _out_of_range(0.0, 7.0, -90.0, 82.0)
+
+
+def _qz_range() -> tuple[float, float]:
+    return _out_of_range(*QZ_DEG), _out_of_range(*QZ_DEG[:3], 82.0)
+
+
 def _beyond_reach() -> tuple[float, float]:
     """How far places of 004's tool lie outside the sphere about the shoulder that holds them all [m]."""
     places = ((0.660, 0.0, 0.640), (0.0, -0.160, 0.450))
@@ -127,20 +135,12 @@ def _column_of_the_jacobian() -> tuple[float, float]:
     return float(np.abs(J.T @ rate - true).max()), float(np.abs(J @ rate - true).max())
 
 
-# By the names that the statements have in the transcriptions.
+# By their names, which the statements have in the transcriptions.
 PROOFS: dict[str, Residuals] = {
-    "d1": _without_d1,
-    "hand": _reach_of_fig_9,
-    "radius": _radius_alone,
-    "grid": _grid_reach,
-    "population": _ordered_population,
-    "still": _standing_still,
-    "subscripts": _subscripts,
-    "solutions": _solutions,
-    "link": _standard_link,
-    "fig_5_range": lambda: (_out_of_range(*FIG_5_DEG), _out_of_range(0.0, 7.0, -90.0, 82.0)),
-    "qz_range": lambda: (_out_of_range(*QZ_DEG), _out_of_range(*QZ_DEG[:3], 82.0)),
-    "reach": _beyond_reach,
-    "theta2": _branches_of_theta2,
-    "column": _column_of_the_jacobian,
+    proof.__name__.removeprefix("_"): proof
+    for proof in (
+        *(_without_d1, _reach_of_fig_9, _radius_alone, _grid_reach, _ordered_population, _standing_still),
+        *(_subscripts, _solutions, _standard_link, _fig_5_range, _qz_range),
+        *(_beyond_reach, _branches_of_theta2, _column_of_the_jacobian),
+    )
 }
