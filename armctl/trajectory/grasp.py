@@ -182,11 +182,8 @@ def gripper_of(arm: ArmConfig, robot: Robot) -> tuple[int, GripperConfig]:
     """
     if arm.gripper is None:
         others = ", ".join(arm.joint_names[robot.chain.n :]) or "none"
-        raise RequestRefused(
-            "NO_GRIPPER",
-            f"arm {arm.arm_id} has no gripper: its calibration has no key gripper (joints that move no tool point: "
-            f"{others})",
-        )
+        why = f"its calibration has no key gripper (joints that move no tool point: {others})"
+        raise RequestRefused("NO_GRIPPER", f"arm {arm.arm_id} has no gripper: {why}")
     index = arm.joint_names.index(arm.gripper.joint)
     if index < robot.chain.n:
         raise RequestRefused("NO_GRIPPER", f"joint {arm.gripper.joint} moves the tool point; it cannot be the gripper")
@@ -240,11 +237,9 @@ def _straight(q: FloatArray, point: FloatArray, arm: ArmConfig, robot: Robot, of
         if not off_it.any():
             return np.array(path[::-1])
         reached_m = max(reached_m, off_m * (int(off_it.argmax()) - 1) / (PLACES - 1))
-    raise RequestRefused(
-        "PREFLIGHT",
-        f"within the joint limits the tool can back off from the point by {1000.0 * reached_m:.0f} mm, not by "
-        f"{1000.0 * off_m:.0f}; shorten the straight way, or come another way",
-    )
+    far = f"the tool can back off from the point by {1000.0 * reached_m:.0f} mm, not by {1000.0 * off_m:.0f}"
+    remedy = "shorten the straight way, or come another way"
+    raise RequestRefused("PREFLIGHT", f"within the joint limits {far}; {remedy}")
 
 
 def _trajectory(positions_rad: FloatArray, period_s: float, label: str) -> JointTrajectory:

@@ -108,12 +108,11 @@ def check_line(A: FloatArray, B: FloatArray, duration_s: float) -> None:
     Raises:
         RequestRefused: code LINE, A and B make no line, or the duration is none.
     """
+    ends = f"A {A.tolist()} and B {B.tolist()}"
     if not (np.isfinite(A).all() and np.isfinite(B).all() and A.shape == B.shape == (3,)):
-        raise RequestRefused("LINE", f"A {A.tolist()} and B {B.tolist()} must be three finite numbers each, in metres")
+        raise RequestRefused("LINE", f"{ends} must be three finite numbers each, in metres")
     if float(np.linalg.norm(B - A)) < 0.01:
-        raise RequestRefused(
-            "LINE", f"A {A.tolist()} and B {B.tolist()} are nearly the same point; give ends at least 0.01 m apart"
-        )
+        raise RequestRefused("LINE", f"{ends} are nearly the same point; give ends at least 0.01 m apart")
     if not (math.isfinite(duration_s) and duration_s > 0.0):
         raise RequestRefused("LINE", f"duration {duration_s} s; give more than 0 s")
 

@@ -126,12 +126,8 @@ def joint_ways(outline: Outline, q_now: Sequence[float], arm: ArmConfig, robot: 
         if index > 0:
             alive &= (np.abs(q - before) < LARGEST_STEP_RAD).all(axis=1)
         if not alive.any():
-            missing = out_of_reach(chain, point, limits, arm.floor_m, rng)
-            why = (
-                f"is {missing}"
-                if missing
-                else "cannot be reached in one go from where the path begins; begin elsewhere"
-            )
+            far = out_of_reach(chain, point, limits, arm.floor_m, rng)
+            why = f"is {far}" if far else "cannot be reached in one go from where the path begins; begin elsewhere"
             gone = f"the point {point_text(point)} m, {stations[index] * 1e3:.0f} mm along the path,"
             raise RequestRefused("PATH", f"{gone} {why}")
         followed.append(q)

@@ -257,10 +257,8 @@ def preflight(plan: Plan, arm: ArmConfig, robot: Robot, q_now: Sequence[float]) 
     if plan.arm_id != arm.arm_id:
         reasons.append(f"the plan was made for arm {plan.arm_id!r}, this is {arm.arm_id!r}; optimise for this arm")
     elif plan.calibration_hash != arm.calibration_hash:
-        reasons.append(
-            f"the plan was made with calibration {plan.calibration_hash}, the arm now has {arm.calibration_hash}; "
-            "optimise again"
-        )
+        both = f"calibration {plan.calibration_hash}, the arm now has {arm.calibration_hash}"
+        reasons.append(f"the plan was made with {both}; optimise again")
     joints = len(arm.joints)
     if len(plan.waypoints_rad[0]) != joints:
         return (*reasons, f"the plan moves {len(plan.waypoints_rad[0])} joints, the arm has {joints}")

@@ -74,9 +74,8 @@ class TaughtMotion(Frozen):
             raise ValueError(f"positions_rad: row {odd[0]} has not {len(self.joints)} numbers, one a joint")
         for number, (before, after) in enumerate(pairwise(self.time_s), 2):
             if after <= before:
-                raise ValueError(
-                    f"time_s: row {number} is at {after:g} s, the one before at {before:g} s; it must rise"
-                )
+                both = f"row {number} is at {after:g} s, the one before at {before:g} s"
+                raise ValueError(f"time_s: {both}; it must rise")
         if not SHORTEST_S <= self.duration_s <= LONGEST_S:
             raise ValueError(f"time_s: {self.duration_s:g} s long; {SHORTEST_S:g} to {LONGEST_S:g} s can be played")
         return self
@@ -219,11 +218,8 @@ def playback(motion: TaughtMotion, rate: float, arm: ArmConfig, robot: Robot) ->
     """
     mine = arm.arm_id, arm.calibration_hash
     if motion.arm_id and (motion.arm_id, motion.calibration_hash) != mine:
-        raise RequestRefused(
-            "FOREIGN_LOG",
-            f"it was recorded with arm {motion.arm_id}, calibration {motion.calibration_hash}; this is "
-            f"{arm.arm_id}, {arm.calibration_hash}",
-        )
+        other = f"it was recorded with arm {motion.arm_id}, calibration {motion.calibration_hash}"
+        raise RequestRefused("FOREIGN_LOG", f"{other}; this is {arm.arm_id}, {arm.calibration_hash}")
     known, needed = ", ".join(arm.joint_names), arm.joint_names[: robot.chain.n]
     reasons = [f"there is no joint {name!r}; joints: {known}" for name in motion.joints if name not in arm.joint_names]
     reasons += [f"joint {name} is missing; it moves the tool" for name in needed if name not in motion.joints]

@@ -107,10 +107,9 @@ def _against_start(begin: FloatArray, start_rad: Sequence[float] | None, arm: Ar
         return
     for joint, here, there in zip(arm.joints, start_rad, begin.tolist(), strict=True):
         if abs(there - here) > START_TOLERANCE_RAD:
-            yield (
-                f"joint {joint.name}: the motion starts {math.degrees(abs(there - here)):.1f} deg from where the arm "
-                f"is (bound {math.degrees(START_TOLERANCE_RAD):g}); move it there slowly first"
-            )
+            away_deg, bound_deg = math.degrees(abs(there - here)), math.degrees(START_TOLERANCE_RAD)
+            away = f"the motion starts {away_deg:.1f} deg from where the arm is (bound {bound_deg:g})"
+            yield f"joint {joint.name}: {away}; move it there slowly first"
 
 
 def _against_joints(q: FloatArray, period_s: float, arm: ArmConfig, duration_s: float) -> Iterator[str]:
@@ -144,10 +143,8 @@ def _against_limits(joint: JointConfig, column: FloatArray) -> Iterator[str]:
         tick, verb = joint.tick(position_rad), "stands at" if position_rad == column[0] else "would go to"
         within = -0.5 <= tick <= TICK_MAX + 0.5
         dead = "" if within else f"; tick {tick:.0f} lies in the servo's dead zone (0 to {TICK_MAX})"
-        yield (
-            f"{joint.name} {verb} {math.degrees(position_rad):.1f} deg, outside its limits {low_deg:.1f} to "
-            f"{high_deg:.1f} deg{dead}"
-        )
+        limits = f"outside its limits {low_deg:.1f} to {high_deg:.1f} deg"
+        yield f"{joint.name} {verb} {math.degrees(position_rad):.1f} deg, {limits}{dead}"
 
 
 def _every_degree(q: FloatArray, period_s: float, arm: ArmConfig) -> FloatArray:
@@ -175,15 +172,12 @@ def _against_contact(q: FloatArray, arm: ArmConfig, robot: Robot) -> Iterator[st
     for pair in np.flatnonzero(gap_m < gap_bound_m - SAME_M):
         first, second = (int(link) for link in pairs[pair])
         apart_m = float(gap_m[pair]) + 2.0 * radius_m
-        yield (
-            f"link {second + 1} would touch {'the base column' if first == 0 else f'link {first + 1}'}: their middles "
-            f"come within {apart_m:.3f} m, at least {2.0 * radius_m:.3f} m; go by another pose"
-        )
+        touched = "the base column" if first == 0 else f"link {first + 1}"
+        apart = f"their middles come within {apart_m:.3f} m, at least {2.0 * radius_m:.3f} m"
+        yield f"link {second + 1} would touch {touched}: {apart}; go by another pose"
     too_low_m = height_m - height_bound_m
     if len(too_low_m) and too_low_m.min() < -SAME_M:
         worst = int(too_low_m.argmin())
         part = "the tool" if worst == n - 2 else f"the end of link {worst + 2}"
-        yield (
-            f"{part} would come down to {arm.floor_m + height_m[worst]:.3f} m, below the floor at {arm.floor_m:.3f} m; "
-            "raise the motion, or begin it elsewhere"
-        )
+        low = f"{arm.floor_m + height_m[worst]:.3f} m, below the floor at {arm.floor_m:.3f} m"
+        yield f"{part} would come down to {low}; raise the motion, or begin it elsewhere"

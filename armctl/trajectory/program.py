@@ -182,9 +182,7 @@ def _numbered(text: str) -> str:
     """Steps by the numbers that people know them by: `steps.2.repeat.steps.0.grip` is `step 3.1: grip`."""
 
     def number(found: re.Match[str]) -> str:
-        inside = re.findall(_INNER, found[2])
-        return (
-            f"{found[1]}step " + ".".join(f"{kind}.{int(at) + 1}".replace("steps.", "") for kind, at in inside) + ": "
-        )
+        inside = (f"{kind}.{int(at) + 1}".replace("steps.", "") for kind, at in re.findall(_INNER, found[2]))
+        return f"{found[1]}step {'.'.join(inside)}: "
 
     return re.sub(rf"(?m)^( *)((?:{_INNER})+)(?:: )?", number, text)

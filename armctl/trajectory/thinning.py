@@ -31,11 +31,9 @@ def thinned(trajectory: JointTrajectory) -> JointTrajectory:
     while kept[-1] < len(q) - 1:
         kept.append(_farthest(q, kept[-1]))
     if len(kept) > most:
-        raise RequestRefused(
-            "LIMIT",
-            f"the motion of {trajectory.duration_s:.1f} s winds so much that it needs {len(kept)} points, at most "
-            f"{most} reach the servos at once; make it shorter, or split it",
-        )
+        needs = f"the motion of {trajectory.duration_s:.1f} s winds so much that it needs {len(kept)} points"
+        bound = f"at most {most} reach the servos at once; make it shorter, or split it"
+        raise RequestRefused("LIMIT", f"{needs}, {bound}")
     rows, period_s = trajectory.positions_rad, trajectory.period_s
     return replace(trajectory, positions_rad=tuple(rows[i] for i in kept), times_s=tuple(i * period_s for i in kept))
 

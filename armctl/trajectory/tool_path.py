@@ -84,9 +84,8 @@ def path_from_text(text: str, file: str, **more: Any) -> PathRequest:
     rows = list(csv.reader(io.StringIO(text), skipinitialspace=True))
     header = [name.strip() for name in rows[0]] if rows else []
     if missing := [name for name in COLUMNS if name not in header]:
-        raise ConfigError(
-            file, "header", f"no column {', '.join(missing)}", "the first row must be x_m,y_m,z_m or x_m,y_m,z_m,kind"
-        )
+        remedy = "the first row must be x_m,y_m,z_m or x_m,y_m,z_m,kind"
+        raise ConfigError(file, "header", f"no column {', '.join(missing)}", remedy)
     if unknown := [name for name in header if name not in (*COLUMNS, "kind")]:
         raise ConfigError(file, "header", f"unknown column {', '.join(unknown)}", "known: x_m, y_m, z_m, kind")
     points, kinds = [], []
@@ -200,19 +199,15 @@ def _arc(P: FloatArray, Q: FloatArray, R: FloatArray, number: int) -> _Arc:
     """The arc from P through Q to R; `number` is that of P, from 1."""
     a, b = Q - P, R - P
     normal = np.cross(a, b)
-    size = float(np.linalg.norm(normal))
+    size, points = float(np.linalg.norm(normal)), f"points_m: points {number} to {number + 2}"
     if size <= SAME_M**2:
-        raise ValueError(
-            f"points_m: points {number} to {number + 2} make no arc, for they lie on one line; make a whole circle of "
-            "two arcs, and a line of kind line"
-        )
+        remedy = "make a whole circle of two arcs, and a line of kind line"
+        raise ValueError(f"{points} make no arc, for they lie on one line; {remedy}")
     out = -np.cross((a @ a) * b - (b @ b) * a, normal) / (2.0 * size**2)
     radius_m = float(np.linalg.norm(out))
     if radius_m > LARGEST_RADIUS_M:
-        raise ValueError(
-            f"points_m: points {number} to {number + 2} lie on a circle of radius {radius_m:.1f} m, at most "
-            f"{LARGEST_RADIUS_M:g} m; make it a line"
-        )
+        bound = f"at most {LARGEST_RADIUS_M:g} m; make it a line"
+        raise ValueError(f"{points} lie on a circle of radius {radius_m:.1f} m, {bound}")
     centre, out = P - out, out / radius_m
     along = np.cross(normal / size, out)
     angle = math.atan2(float((R - centre) @ along), float((R - centre) @ out)) % (2.0 * math.pi)

@@ -169,11 +169,8 @@ def _lift(
         there = _paw_down(place, near, arm, robot)[0]
         if tau > 0.0 and np.abs(there - near).max() > JUMP_RAD:
             x, y, z = place.tolist()
-            raise RequestRefused(
-                "UNREACHABLE",
-                f"on its way down the arm would have to change its pose at ({x:.3f}, {y:.3f}, {z:.3f}) m: move the "
-                "station, or lower the height",
-            )
+            why = f"on its way down the arm would have to change its pose at ({x:.3f}, {y:.3f}, {z:.3f}) m"
+            raise RequestRefused("UNREACHABLE", f"{why}: move the station, or lower the height")
         near = there
         down = np.array([0.0, 0.0, -cycle.height_m, 0.0, 0.0, 0.0])
         J = jacobian(robot.chain, near)
@@ -204,7 +201,6 @@ def _paw_down(point: FloatArray, near: FloatArray, arm: ArmConfig, robot: Robot)
     if not found:
         near_m = answer.least_position_error_m
         why = "only outside the joint limits" if answer.reachable else f"the nearest place is {1e3 * near_m:.1f} mm off"
-        raise RequestRefused(
-            "UNREACHABLE", f"the paw cannot point down at ({x:.3f}, {y:.3f}, {z:.3f}) m: {why}; move the station"
-        )
+        what = f"the paw cannot point down at ({x:.3f}, {y:.3f}, {z:.3f}) m"
+        raise RequestRefused("UNREACHABLE", f"{what}: {why}; move the station")
     return sorted(found, key=lambda q: float(solution.weighted_travel(q, near, limits)))
