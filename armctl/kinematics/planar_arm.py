@@ -47,9 +47,8 @@ class PlanarArm:
 
     def __post_init__(self) -> None:
         if not min(self.links_m) > 0.0:
-            raise ConfigError(
-                "lengths", str(self.links_m), "links without length", "every link must be longer than 0 m"
-            )
+            remedy = "every link must be longer than 0 m"
+            raise ConfigError("lengths", str(self.links_m), "links without length", remedy)
         assert not (self.roll and self.shoulder), "a rolling hand beside the waist's axis is not worked out"
 
     @property
@@ -155,13 +154,13 @@ class PlanarArm:
         p_x, p_y, p_z = np.repeat(np.asarray(points, dtype=np.float64), len(PITCHES), axis=0).T
         pitch, roll = np.tile(PITCHES, len(points)), (0.0,) * self.roll
         with np.errstate(invalid="ignore", divide="ignore"):
+            waists = self._waists_of_point(p_x, p_y, ARRAYS)
+            planes = [(np.arctan2(s1, c1), c1 * p_x + s1 * p_y - self.a1) for c1, s1 in waists]
             family = [
                 _stacked(
-                    (np.arctan2(s1, c1), *joints, *roll)
-                    for c1, s1 in self._waists_of_point(p_x, p_y, ARRAYS)
-                    for joints in self._in_plane(
-                        c1 * p_x + s1 * p_y - self.a1, p_z - self.height, pitch, bend, ARRAYS, clamp=True
-                    )
+                    (waist, *joints, *roll)
+                    for waist, u in planes
+                    for joints in self._in_plane(u, p_z - self.height, pitch, bend, ARRAYS, clamp=True)
                 )
                 for bend in bends.tolist()
             ]

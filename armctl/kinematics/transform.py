@@ -154,11 +154,7 @@ LARGEST_RAD = 1e6
 FEW = 24
 QUARTERS_PER_RAD = 2.0 / math.pi
 # Of pi/2: its first 33 bits, the next 33 and the next 53.
-PARTS_RAD = (
-    float.fromhex("0x1.921fb544p+0"),
-    float.fromhex("0x1.0b4611a6p-34"),
-    float.fromhex("0x1.3198a2e037073p-69"),
-)
+PARTS_RAD = tuple(map(float.fromhex, ("0x1.921fb544p+0", "0x1.0b4611a6p-34", "0x1.3198a2e037073p-69")))
 
 
 @lru_cache(maxsize=8192)

@@ -33,6 +33,10 @@ def about_x(alpha: Any, a: Any = 0) -> Any:
     return sympy.Matrix([[1, 0, 0, a], [0, c, -s, 0], [0, s, c, 0], [0, 0, 0, 1]])
 
 
+# Any link of a modified table.
+LINK_AFTER = about_x(symbol("alpha_before"), symbol("a_before")) * about_z(symbol("theta_i"), symbol("d_i"))
+
+
 def _sums(expression: Any) -> Any:
     """Products of sines and cosines as those of sums of their angles."""
     return sympy.expand(product_to_sum(expression))
@@ -116,9 +120,8 @@ def _lanzhou() -> dict[str, Cells]:
     a2, a3, a4, a5, d1, d2 = (symbol(name) for name in ("a2", "a3", "a4", "a5", "d1", "d2"))
     rows = ((0, 0, d1), (a2, -QUARTER, d2), (a3, 0, 0), (a4, 0, 0))
     A = [about_x(alpha, a) * about_z(theta, d) for theta, (a, alpha, d) in zip(THETA, rows, strict=False)]
-    theta, alpha, a, d = (symbol(name) for name in ("theta_i", "alpha_before", "a_before", "d_i"))
     return {
-        "(1)": (about_x(alpha, a) * about_z(theta, d)).tolist(),
+        "(1)": LINK_AFTER.tolist(),
         "(2), names": _pose().tolist(),
         "(2)": (A[0] * _product(*A[1:], about_x(0, a5))).tolist(),
     }
@@ -128,13 +131,11 @@ def _transfer() -> dict[str, Cells]:
     a1, a2, d4, d6 = (symbol(name) for name in ("a1", "a2", "d4", "d6"))
     rows = ((0, 0, 0), (a1, -QUARTER, 0), (a2, 0, 0), (0, QUARTER, d4), (0, -QUARTER, 0), (0, QUARTER, d6))
     A = [about_x(alpha, a) * about_z(theta, d) for theta, (a, alpha, d) in zip(THETA, rows, strict=True)]
-    theta, alpha, a, d = (symbol(name) for name in ("theta_i", "alpha_before", "a_before", "d_i"))
     # In the initial position, millimetres.
     at = {a1: 100, a2: 450, d4: 160, d6: 100} | dict(zip(THETA, (QUARTER, -QUARTER, 0, 0, 0, 0), strict=True))
     initial = reduce(lambda T, link: T * link.subs(at), A, sympy.eye(4))
-
     return {
-        "(1)": (about_x(alpha, a) * about_z(theta, d)).tolist(),
+        "(1)": LINK_AFTER.tolist(),
         "(3)": _pose().tolist(),
         "after (3), 0T6": initial.tolist(),
         "(4), first matrix": _back(A[0]).tolist(),

@@ -13,11 +13,8 @@ from armctl.recording.export import extra
 sympy: Any = extra("the papers' equations", "sympy", "papers")
 product_to_sum: Any = extra("the papers' equations", "sympy.simplify.fu", "papers").TR8
 
-_FUNCTIONS = {
-    **{name: getattr(sympy, name) for name in ("sin", "cos", "tan", "sqrt", "atan2")},
-    "arctan": sympy.atan,
-    "abs": sympy.Abs,
-}
+_FUNCTIONS = {name: getattr(sympy, name) for name in ("sin", "cos", "tan", "sqrt", "atan2")}
+_FUNCTIONS |= {"arctan": sympy.atan, "abs": sympy.Abs}
 _TOKEN, _MARKS = re.compile(r"\d+\.?\d*|[^\W\d]\w*|\S"), "+-*/(),"
 _LETTERS = {"θ": "theta_", "α": "alpha_", "__": "_", "{i-1}": "before", "°": "", "180 -": "pi -", "^": "**"}
 # A sine or cosine by its letter: `C23`, `s1`, `ctheta_i`.

@@ -36,9 +36,8 @@ def write(reports: Sequence[PaperReport], found: Sequence[Entry], path: Path) ->
         page.chapter(f"{report.paper}: {report.title}")
         page.text(*report.notes)
         page.heading(f"{report.paper}, quantities")
-        page.table(
-            QUANTITIES, [(*cells, _marked(verdict, verdict)) for *cells, verdict in quantities(report)], words=True
-        )
+        rows = [(*cells, _marked(verdict, verdict)) for *cells, verdict in quantities(report)]
+        page.table(QUANTITIES, rows, words=True)
         for title, views in groupby(report.pictures, key=lambda one: one.title):
             page.heading(f"{report.paper}, {title}")
             page.figures((view.draw(), view.description) for view in views)

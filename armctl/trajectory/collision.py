@@ -50,10 +50,8 @@ def link_clearance(points: FloatArray, pairs: NDArray[np.intp], radius_m: float)
         pairs: Indices of links, shape (pairs, 2); see `judged_pairs`.
     """
     first, second = pairs.T
-    apart = segment_distance(
-        points[..., first, :], points[..., first + 1, :], points[..., second, :], points[..., second + 1, :]
-    )
-    return apart - 2.0 * radius_m
+    ends = (points[..., link, :] for link in (first, first + 1, second, second + 1))
+    return segment_distance(*ends) - 2.0 * radius_m
 
 
 def floor_clearance(points: FloatArray, floor_m: float, radius_m: float) -> FloatArray:

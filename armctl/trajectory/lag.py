@@ -166,9 +166,8 @@ def summary(lags: FloatArray, X: FloatArray, known: NDArray[np.bool_] | None = N
     y = lags.T
     weight = np.ones(y.shape) if known is None else known.T.astype(float)
     W = X * weight[..., None]
-    return Summary(
-        np.einsum("imk,iml->ikl", W, X), np.einsum("imk,im->ik", W, y), (weight * y * y).sum(axis=1), weight.sum(axis=1)
-    )
+    XX, Xy = np.einsum("imk,iml->ikl", W, X), np.einsum("imk,im->ik", W, y)
+    return Summary(XX, Xy, (weight * y * y).sum(axis=1), weight.sum(axis=1))
 
 
 def total(motions: Sequence[Summary]) -> Summary:

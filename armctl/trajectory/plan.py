@@ -228,13 +228,9 @@ def approached(
         going = (time_s >= set_off_s) & (time_s < there_s)
         positions[going] = rest_to_rest(q0, q1, (time_s[going] - set_off_s) / max(there_s - set_off_s, 1e-9))
         set_off_s = there_s
-    return JointTrajectory(
-        period_s=period_s,
-        positions_rad=tuple(map(tuple, positions.tolist())),
-        begin_s=begin * period_s - ROUNDING_S,
-        end_s=begin * period_s + duration_s - ROUNDING_S,
-        label=label,
-    )
+    begin_s, end_s = begin * period_s - ROUNDING_S, begin * period_s + duration_s - ROUNDING_S
+    found = tuple(map(tuple, positions.tolist()))
+    return JointTrajectory(period_s, found, begin_s=begin_s, end_s=end_s, label=label)
 
 
 def lead(plan: Plan) -> FloatArray:

@@ -97,8 +97,7 @@ def motion(cycle: TransferRequest, arm: ArmConfig, robot: Robot) -> Motion:
     refused: list[RequestRefused] = []
     for start in _paw_down(np.array(cycle.pick_m) + over, rest, arm, robot):
         try:
-            pick = _lift(np.array(cycle.pick_m), start, cycle, arm, robot)
-            place = _lift(np.array(cycle.place_m), start, cycle, arm, robot)
+            pick, place = (_lift(np.array(at), start, cycle, arm, robot) for at in (cycle.pick_m, cycle.place_m))
         except RequestRefused as reason:
             refused.append(reason)
             continue
@@ -109,13 +108,8 @@ def motion(cycle: TransferRequest, arm: ArmConfig, robot: Robot) -> Motion:
         raise refused[0]
     _, pick, place = best
     over_pick, over_place = _begin(pick), _begin(place)
-    once = (
-        *_down_and_up(pick, cycle),
-        quintic(over_pick, over_place, cycle.carry_s),
-        *_down_and_up(place, cycle),
-        quintic(over_place, over_pick, cycle.carry_s),
-    )
-    return Motion(once * cycle.cycles)
+    there, back = (quintic(*ends, cycle.carry_s) for ends in ((over_pick, over_place), (over_place, over_pick)))
+    return Motion((*_down_and_up(pick, cycle), there, *_down_and_up(place, cycle), back) * cycle.cycles)
 
 
 def transfer_trajectory(

@@ -171,9 +171,8 @@ def mutate(coding: Coding, words: Words, place: FloatArray) -> Words:
     mutated = words.copy()
     bit = (place * (words.shape[1] * coding.length)).astype(np.int64)
     word = bit // coding.bits + np.arange(len(words))[:, None] * (words.shape[1] * coding.joints)
-    np.bitwise_xor.at(
-        mutated.reshape(-1), word, np.uint32(1) << (coding.bits - 1 - bit % coding.bits).astype(np.uint32)
-    )
+    flipped = np.uint32(1) << (coding.bits - 1 - bit % coding.bits).astype(np.uint32)
+    np.bitwise_xor.at(mutated.reshape(-1), word, flipped)
     return mutated
 
 
