@@ -70,19 +70,14 @@ def urdf(arm: ArmConfig, robot: Robot) -> str:
         else:
             G, axis, child = np.eye(4), "1 0 0", link
         low, high = joint.limits_rad
-        lines += [
-            f'  <joint name={quoteattr(joint.name)} type="revolute">',
-            f"    <parent link={quoteattr(parent)}/><child link={quoteattr(child)}/>",
-            f'    {_frame(G)}<axis xyz="{axis}"/>',
-            f'    <limit lower="{low!r}" upper="{high!r}" effort="{MODELS[joint.model].stall_torque_Nm}" '
-            f'velocity="{joint.speed_limit_rad_s!r}"/>',
-            "  </joint>",
-        ]
+        effort, velocity = MODELS[joint.model].stall_torque_Nm, joint.speed_limit_rad_s
+        limit = f'<limit lower="{low!r}" upper="{high!r}" effort="{effort}" velocity="{velocity!r}"/>'
+        lines += _joint(joint.name, "revolute", parent, child, f'{_frame(G)}<axis xyz="{axis}"/>', limit)
         if index < chain.n:
             lines += _link(child, F[:3, 3])
-            lines += _fixed(f"{link}:offset", child, link, F)
+            lines += _joint(f"{link}:offset", "fixed", child, link, _frame(F))
         lines += _link(link)
-    lines += _fixed(f"{TOOL}:offset", links[chain.n - 1], TOOL, _tool_offset(chain))
+    lines += _joint(f"{TOOL}:offset", "fixed", links[chain.n - 1], TOOL, _frame(_tool_offset(chain)))
     lines += [f"  <link name={quoteattr(TOOL)}/>", "</robot>", ""]
     return "\n".join(lines)
 
@@ -120,13 +115,10 @@ def _frame(T: FloatArray) -> str:
     return _origin(T[:3, 3], rpy_from_matrix(T[:3, :3]))
 
 
-def _fixed(name: str, parent: str, child: str, T: FloatArray) -> list[str]:
-    return [
-        f'  <joint name={quoteattr(name)} type="fixed">',
-        f"    <parent link={quoteattr(parent)}/><child link={quoteattr(child)}/>",
-        f"    {_frame(T)}",
-        "  </joint>",
-    ]
+def _joint(name: str, kind: str, parent: str, child: str, *lines: str) -> list[str]:
+    ends = f"<parent link={quoteattr(parent)}/><child link={quoteattr(child)}/>"
+    inside = [f"    {line}" for line in (ends, *lines)]
+    return [f'  <joint name={quoteattr(name)} type="{kind}">', *inside, "  </joint>"]
 
 
 def _link(name: str, end: FloatArray | None = None) -> list[str]:

@@ -54,7 +54,6 @@ GENTLE_M = 0.008
 LONGER, TIMES_LONGER = 1.25, 8
 # Points of the path that is told, and at which of them it is said how far rounding leads off it.
 TOLD_ROWS, TOLD_EACH = 2000, 5
-EARLY_S = 1.0
 
 Motion = Callable[[FloatArray], FloatArray]
 
@@ -92,9 +91,9 @@ def path_motion(
         for _ in range(TIMES_LONGER):
             progress = _progress(pace_s, duration_s)
             motion = _motion(way, progress, duration_s, q_now[robot.chain.n :])
-            reasons = against(motion, duration_s, arm, robot, q_now, early_s=EARLY_S)
+            reasons = against(motion, duration_s, arm, robot, q_now)
             if not reasons:
-                whole = led_in(motion, duration_s, arm, q_now, period_s, "path", early_s=EARLY_S)
+                whole = led_in(motion, duration_s, arm, q_now, period_s, "path")
                 return PathMotion(whole, *_told(outline, progress))
             if request.duration_s is not None or not all("give it a duration" in reason for reason in reasons):
                 break

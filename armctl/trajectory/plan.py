@@ -33,6 +33,8 @@ LEAD_RAD = math.radians(4.0)
 LEAD_S = 2.0
 # In this share of the duration a joint moves by LEAD_RAD, or it has no direction of departure.
 LEAD_SHARE = 0.2
+# And within this time, where the motion is none of a plan.
+EARLY_S = 1.0
 # The control step counts trajectory seconds up tick by tick: without this the plan might seem to begin a tick late.
 ROUNDING_S = 1e-9
 DWELL_S = 0.2
@@ -151,7 +153,7 @@ def joint_trajectory(plan: Plan, arm: ArmConfig, q_now: Sequence[float], period_
         ValueError: `q_now` is not one finite number a joint of the plan, or the period is not positive.
     """
     motion = partial(plan_positions, plan)
-    return led_in(motion, plan.duration_s, arm, q_now, period_s, f"line via {plan.via}")
+    return led_in(motion, plan.duration_s, arm, q_now, period_s, f"line via {plan.via}", early_s=math.inf)
 
 
 def led_in(
@@ -162,7 +164,7 @@ def led_in(
     period_s: float,
     label: str,
     *,
-    early_s: float = math.inf,
+    early_s: float = EARLY_S,
 ) -> JointTrajectory:
     """Any motion with its slow approach, which comes to its first point in the direction of departure.
 
@@ -195,7 +197,7 @@ def against(
     robot: Robot,
     q_now: Sequence[float],
     *,
-    early_s: float = math.inf,
+    early_s: float = EARLY_S,
 ) -> tuple[str, ...]:
     """Every reason why a motion, led in as `led_in` does, must not run from `q_now` [rad]; empty: it may.
 
@@ -260,4 +262,5 @@ def preflight(plan: Plan, arm: ArmConfig, robot: Robot, q_now: Sequence[float]) 
         return (*reasons, f"the plan moves {len(plan.waypoints_rad[0])} joints, the arm has {joints}")
     if len(q_now) != joints or not all(map(math.isfinite, q_now)):
         return (*reasons, f"the arm stands at {list(q_now)}, not {joints} known joint angles; connect it first")
-    return (*reasons, *against(partial(plan_positions, plan), plan.duration_s, arm, robot, q_now))
+    motion = partial(plan_positions, plan)
+    return (*reasons, *against(motion, plan.duration_s, arm, robot, q_now, early_s=math.inf))

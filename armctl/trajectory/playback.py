@@ -41,7 +41,6 @@ HALF_WIDTH_S = 0.55
 # Between samples before they are smoothed, at most, and after.
 SAMPLE_S, ROW_S = 0.1, 0.02
 EASE_S = 0.8
-EARLY_S = 1.0
 SHORTEST_S = 0.5
 LOWEST_RATE, HIGHEST_RATE = 0.1, 2.0
 MOST_REPEATS = 100
@@ -184,9 +183,9 @@ class Playback:
         def motion(time_s: FloatArray) -> FloatArray:
             return columns_at(self.taught_at(time_s), self.taught_s, kept)
 
-        if reasons := against(motion, self.duration_s, self.arm, self.robot, q_now, early_s=EARLY_S):
+        if reasons := against(motion, self.duration_s, self.arm, self.robot, q_now):
             raise RequestRefused("PREFLIGHT", self._with_rate(reasons, kept))
-        return led_in(motion, self.duration_s, self.arm, q_now, period_s, "play", early_s=EARLY_S)
+        return led_in(motion, self.duration_s, self.arm, q_now, period_s, "play")
 
     def _with_rate(self, reasons: Sequence[str], kept: FloatArray) -> list[str]:
         """The reasons, with the rate that would do in place of a duration."""
