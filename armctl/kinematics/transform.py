@@ -116,9 +116,7 @@ def rotation_vector(R: FloatArray) -> FloatArray:
     At half a turn, where the axis has two signs and the skew part vanishes, it is taken from the symmetric part.
     """
     R = np.asarray(R, dtype=np.float64)
-    skew = 0.5 * np.stack(
-        (R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]), axis=-1
-    )
+    skew = 0.5 * np.stack([R[..., i, k] - R[..., k, i] for i, k in ((2, 1), (0, 2), (1, 0))], axis=-1)
     sine = np.linalg.norm(skew, axis=-1)
     cosine = 0.5 * (R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2] - 1.0)
     angle = np.arctan2(sine, cosine)

@@ -49,12 +49,10 @@ def moving_frames(arm: ArmConfig, robot: Robot, q: FloatArray) -> FloatArray:
 
 def fixed_frames(arm: ArmConfig, robot: Robot) -> tuple[tuple[str, str, FloatArray], ...]:
     """The frames that never move against a moving link: (parent, child, T_parent_child)."""
-    chain = robot.chain
-    links = moving_links(arm)
-    frames: list[tuple[str, str, FloatArray]] = [
-        (link, _horn(link), inverted(_row_parts(chain, row)[1])) for link, row in zip(links, chain.rows, strict=False)
-    ]
-    return (*frames, (links[chain.n - 1], TOOL, _tool_offset(chain)))
+    chain, links = robot.chain, moving_links(arm)
+    rows = zip(links, chain.rows, strict=False)
+    horns = ((link, _horn(link), inverted(_row_parts(chain, row)[1])) for link, row in rows)
+    return (*horns, (links[chain.n - 1], TOOL, _tool_offset(chain)))
 
 
 def urdf(arm: ArmConfig, robot: Robot) -> str:

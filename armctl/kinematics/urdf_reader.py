@@ -94,11 +94,9 @@ class _Reader:
             "tool_m": G[:3, 3].round(12).tolist(),
             "tool_rpy_deg": [math.degrees(angle) for angle in rpy_from_matrix(G[:3, :3])],
         }
-        links = self._root.findall("link")
-        meshes = [
-            (str(link.get("name")), str(mesh.get("filename", ""))) for link in links for mesh in link.iter("mesh")
-        ]
-        return UrdfChain(table, tuple(names), tuple(limits), tuple(meshes))
+        shapes = ((link, mesh) for link in self._root.findall("link") for mesh in link.iter("mesh"))
+        meshes = tuple((str(link.get("name")), str(mesh.get("filename", ""))) for link, mesh in shapes)
+        return UrdfChain(table, tuple(names), tuple(limits), meshes)
 
     def _path(self, tool: str) -> list[Element]:
         """The joints from the root to the tool link."""

@@ -88,10 +88,8 @@ def peak_rates(q: FloatArray, period_s: float) -> tuple[FloatArray, FloatArray]:
 def times_too_fast(q: FloatArray, period_s: float, joints: Sequence[JointConfig]) -> float:
     """How many times slower columns of joint positions, as in `peak_rates`, have to be for the joints' limits."""
     speed, acceleration = peak_rates(q, period_s)
-    return max(
-        float((speed / [joint.speed_limit_rad_s for joint in joints]).max()),
-        math.sqrt(float((acceleration / [joint.acceleration_limit_rad_s2 for joint in joints]).max())),
-    )
+    by_speed = float((speed / [joint.speed_limit_rad_s for joint in joints]).max())
+    return max(by_speed, math.sqrt(float((acceleration / [joint.acceleration_limit_rad_s2 for joint in joints]).max())))
 
 
 def peak_tool_speed(tool_m: FloatArray, period_s: float) -> float:
