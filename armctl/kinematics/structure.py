@@ -137,10 +137,8 @@ class _Axes:
 def _candidate(on: _Axes) -> Candidate | None:
     """The form that a chain may have."""
     pitches = on.pitches() if on.level else 0
-    if pitches in (3, 4) and on.n == pitches + 1:
-        return _planar(on, pitches, roll=False)
-    if pitches == 3 and on.n == 5:
-        return _planar(on, pitches, roll=True)
+    if (pitches, on.n) in ((3, 4), (4, 5), (3, 5)):
+        return _planar(on, pitches, roll=on.n == pitches + 2)
     return _spherical(on) if pitches == 2 and on.n == 6 else None
 
 

@@ -63,8 +63,6 @@ class Evolution:
     best_cost: FloatArray
     # Mean error of the population, shape (generations, runs).
     mean_cost: FloatArray
-    # How many configurations one run judged.
-    evaluations: int
 
 
 class Course:
@@ -82,7 +80,6 @@ class Course:
         self._cost: FloatArray = np.full(runs, np.inf)
         self._best_cost: list[FloatArray] = []
         self._mean_cost: list[FloatArray] = []
-        self._evaluations = 0
 
     def judged(self, words: Words) -> FloatArray:
         """Errors of the next generation, shape (runs, individuals, joints) -> (runs, individuals)."""
@@ -93,13 +90,12 @@ class Course:
         self._cost = np.minimum(least, self._cost)
         self._best_cost.append(self._cost)
         self._mean_cost.append(cost.mean(axis=1))
-        self._evaluations += cost.shape[1]
         return cost
 
     def evolution(self) -> Evolution:
         """What came out of the generations judged so far."""
         q = self._problem.configurations(self._coding.angles(self._best[:, None]))[:, 0]
-        return Evolution(q, self._cost, np.array(self._best_cost), np.array(self._mean_cost), self._evaluations)
+        return Evolution(q, self._cost, np.array(self._best_cost), np.array(self._mean_cost))
 
 
 def points_problem(
