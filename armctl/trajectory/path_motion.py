@@ -11,7 +11,7 @@ Rules.
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,7 +34,7 @@ from armctl.trajectory.line_path import (
     point_text,
     turning_too,
 )
-from armctl.trajectory.plan import against, led_in
+from armctl.trajectory.plan import Motion, against, led_in
 from armctl.trajectory.reference import ReferencePath
 from armctl.trajectory.tool_path import Outline, PathRequest
 
@@ -54,8 +54,6 @@ GENTLE_M = 0.008
 LONGER, TIMES_LONGER = 1.25, 8
 # Points of the path that is told, and at which of them it is said how far rounding leads off it.
 TOLD_ROWS, TOLD_EACH = 2000, 5
-
-Motion = Callable[[FloatArray], FloatArray]
 
 
 @dataclass(frozen=True, eq=False)

@@ -43,6 +43,8 @@ SETTLE_S = 0.5
 MAX_VIA = 3000
 CHECK_PERIOD_S = 0.02
 
+# Joint positions [rad], shape (m, joints), at times [s] since its start, shape (m,); the start before it.
+Motion = Callable[[FloatArray], FloatArray]
 Point = Annotated[tuple[float, float, float], Field(strict=False)]
 Joints = Annotated[tuple[float, ...], Field(strict=False)]
 
@@ -157,7 +159,7 @@ def joint_trajectory(plan: Plan, arm: ArmConfig, q_now: Sequence[float], period_
 
 
 def led_in(
-    motion: Callable[[FloatArray], FloatArray],
+    motion: Motion,
     duration_s: float,
     arm: ArmConfig,
     q_now: Sequence[float],
@@ -169,7 +171,6 @@ def led_in(
     """Any motion with its slow approach, which comes to its first point in the direction of departure.
 
     Args:
-        motion: As `approached`.
         q_now: Commanded joint positions [rad], shape (joints,).
         early_s: The direction of departure is where the motion leads within this time, and within `LEAD_SHARE` of it.
     Raises:
@@ -191,13 +192,7 @@ def led_in(
 
 
 def against(
-    motion: Callable[[FloatArray], FloatArray],
-    duration_s: float,
-    arm: ArmConfig,
-    robot: Robot,
-    q_now: Sequence[float],
-    *,
-    early_s: float = EARLY_S,
+    motion: Motion, duration_s: float, arm: ArmConfig, robot: Robot, q_now: Sequence[float], *, early_s: float = EARLY_S
 ) -> tuple[str, ...]:
     """Every reason why a motion, led in as `led_in` does, must not run from `q_now` [rad]; empty: it may.
 
@@ -208,17 +203,12 @@ def against(
 
 
 def approached(
-    ways: Sequence[tuple[FloatArray, FloatArray, float]],
-    motion: Callable[[FloatArray], FloatArray],
-    duration_s: float,
-    period_s: float,
-    label: str,
+    ways: Sequence[tuple[FloatArray, FloatArray, float]], motion: Motion, duration_s: float, period_s: float, label: str
 ) -> JointTrajectory:
     """Slow ways one after the other, dwell, a motion in [begin_s, end_s], settle.
 
     Args:
         ways: From where [rad], to where [rad], each of shape (joints,), and how long [s].
-        motion: Joint positions [rad], shape (m, joints), at times [s] since its start, shape (m,); the start before it.
     """
     begin = math.ceil((sum(way_s for _, _, way_s in ways) + DWELL_S) / period_s - 1e-9)
     rows = begin + math.ceil((duration_s + SETTLE_S) / period_s - 1e-9)
@@ -244,7 +234,7 @@ def lead(plan: Plan) -> FloatArray:
     return _lead(partial(plan_positions, plan), LEAD_SHARE * plan.duration_s)
 
 
-def _lead(motion: Callable[[FloatArray], FloatArray], early_s: float) -> FloatArray:
+def _lead(motion: Motion, early_s: float) -> FloatArray:
     start, early = motion(np.array([0.0, early_s]))
     return np.asarray(np.clip(early - start, -LEAD_RAD, LEAD_RAD))
 
