@@ -5,7 +5,7 @@ Rules.
    joints: so none changes its branch. Those that break off are dropped. The rest are ordered as on a line: a joint's
    error should move the tool little off the path, and no joint should turn around. Those to whose begin a joint has to
    turn by `FARTHER_RAD` more than it need come last: an arm that faces its path does not reach for it over its back.
-2. Beside the joint limits `MARGIN_RAD` are kept free, for corrections.
+2. Beside the joint limits `line_path.MARGIN_RAD` are kept free, for corrections.
 3. The tool goes at one speed. Where a joint would be too fast, as in a tight corner, it goes slower, and gets there
    gently. It sets off and arrives by `time_law`.
 """
@@ -22,18 +22,8 @@ from armctl.kinematics.chain import jacobian
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import LONGEST_S, JointTrajectory
+from armctl.trajectory import line_path
 from armctl.trajectory.interpolate import PEAK_SPEED, columns_at, joint_path, time_law
-from armctl.trajectory.line_path import (
-    MARGIN_RAD,
-    REACHED_M,
-    SPEED_SHARE,
-    above_floor,
-    near_point,
-    onto,
-    out_of_reach,
-    point_text,
-    turning_too,
-)
 from armctl.trajectory.plan import Motion, against, led_in
 from armctl.trajectory.reference import ReferencePath
 from armctl.trajectory.tool_path import Outline, PathRequest
@@ -109,51 +99,52 @@ def joint_ways(outline: Outline, q_now: Sequence[float], arm: ArmConfig, robot: 
         RequestRefused: code PATH, there is none; says where the path leaves what the arm reaches.
     """
     chain = robot.chain
-    limits = np.array([joint.limits_rad for joint in arm.joints[: chain.n]]) + np.array([MARGIN_RAD, -MARGIN_RAD])
+    limits = np.array([joint.limits_rad for joint in arm.joints[: chain.n]])
+    limits = limits + np.array([line_path.MARGIN_RAD, -line_path.MARGIN_RAD])
     stations = np.linspace(0.0, outline.length_m, max(5, math.ceil(outline.length_m / STATION_M)) + 1)
     points = outline.rounded(stations)
     rng = np.random.default_rng(0)
-    q, _ = near_point(chain, points[0], limits, rng)
+    q, _ = line_path.near_point(chain, points[0], limits, rng)
     q = np.vstack([np.array(q_now[: chain.n]), q])
     followed, alive = [], np.ones(len(q), dtype=bool)
     for index, point in enumerate(points):
         before = q
-        q, missed = onto(chain, np.broadcast_to(point, (len(q), 3)), q, limits, 60 if index == 0 else 8)
-        alive &= missed < REACHED_M
+        q, missed = line_path.onto(chain, np.broadcast_to(point, (len(q), 3)), q, limits, 60 if index == 0 else 8)
+        alive &= missed < line_path.REACHED_M
         if index > 0:
             alive &= (np.abs(q - before) < LARGEST_STEP_RAD).all(axis=1)
         if not alive.any():
-            far = out_of_reach(chain, point, limits, arm.floor_m, rng)
+            far = line_path.out_of_reach(chain, point, limits, arm.floor_m, rng)
             why = f"is {far}" if far else "cannot be reached in one go from where the path begins; begin elsewhere"
-            gone = f"the point {point_text(point)} m, {stations[index] * 1e3:.0f} mm along the path,"
+            gone = f"the point {line_path.point_text(point)} m, {stations[index] * 1e3:.0f} mm along the path,"
             raise RequestRefused("PATH", f"{gone} {why}")
         followed.append(q)
-    ways = above_floor(chain, np.stack(followed, axis=1)[alive], arm, "path")
+    ways = line_path.above_floor(chain, np.stack(followed, axis=1)[alive], arm, "path")
     along = np.gradient(points, axis=0)
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
     J = jacobian(chain, ways)[..., :3, :]
     lever = np.linalg.norm(J - along[:, :, None] * (along[:, None, :] @ J), axis=-2)
     turn = np.abs(ways[:, 0] - np.array(q_now[: chain.n])).max(axis=1)
-    best = np.lexsort((turning_too(lever, ways), turn > turn.min() + FARTHER_RAD))[:TRIED_WAYS]
+    best = np.lexsort((line_path.turning_too(lever, ways), turn > turn.min() + FARTHER_RAD))[:TRIED_WAYS]
     rows = int(np.clip(math.ceil(outline.length_m / ROW_M), FEWEST_ROWS, MOST_ROWS)) + 1
     place = np.linspace(0.0, 1.0, rows)
     fine = outline.rounded(place * outline.length_m)
     knots = np.linspace(0.0, 1.0, len(stations))
     for i in best:
-        yield onto(chain, fine, joint_path(ways[i], knots, place, "cubic"), limits, 12)[0]
+        yield line_path.onto(chain, fine, joint_path(ways[i], knots, place, "cubic"), limits, 12)[0]
 
 
 def _slowest_pace_s(way: FloatArray, outline: Outline, arm: ArmConfig) -> FloatArray:
     """Time for the whole path [s] at each of the rows' greatest speed, neighbours considered, shape (m,)."""
     m, n = way.shape
     apart = 1.0 / (m - 1)
-    speed = np.array([joint.speed_limit_rad_s for joint in arm.joints[:n]]) * SPEED_SHARE
-    acceleration = np.array([joint.acceleration_limit_rad_s2 for joint in arm.joints[:n]]) * SPEED_SHARE
+    speed = np.array([joint.speed_limit_rad_s for joint in arm.joints[:n]]) * line_path.SPEED_SHARE
+    acceleration = np.array([joint.acceleration_limit_rad_s2 for joint in arm.joints[:n]]) * line_path.SPEED_SHARE
     first = np.abs(np.gradient(way, apart, axis=0))
     second = np.abs(np.gradient(np.gradient(way, apart, axis=0), apart, axis=0))
     tool = np.linalg.norm(np.gradient(outline.rounded(np.linspace(0.0, outline.length_m, m)), apart, axis=0), axis=1)
     pace_s = np.maximum((first / speed).max(axis=1), np.sqrt((second / acceleration).max(axis=1)))
-    pace_s = np.maximum(pace_s, tool / (SPEED_SHARE * arm.tool_speed_limit_m_s))
+    pace_s = np.maximum(pace_s, tool / (line_path.SPEED_SHARE * arm.tool_speed_limit_m_s))
     reach = max(1, round(GENTLE_M / outline.length_m * (m - 1)))
     padded = np.pad(pace_s, 2 * reach, mode="edge")
     highest = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1).max(axis=1)
