@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import click
@@ -21,7 +22,13 @@ def experiment_command() -> None:
 
 @command("line", SOCKET, CONFIG, ARM, group=experiment_command)
 def line_command(
-    output: Output, virtual: bool, period_s: float | None, geometry: str | None, age: str | None, **asked: Any
+    output: Output,
+    virtual: bool,
+    period_s: float | None,
+    geometry: str | None,
+    age: str | None,
+    spec_file: Path | None,
+    **asked: Any,
 ) -> None:
     """The straight line from A to B with so many intermediate points: before and after correction.
 
@@ -33,16 +40,19 @@ def line_command(
     """
     from armctl.lab.line_experiment import Asked, on_daemon, on_virtual_arm
     from armctl.lab.rig import DaemonRig
+    from armctl.sim.twin import load_twin
 
     for option, value, why in (
         ("--period", period_s, "the daemon's period is in its configuration"),
         ("--geometry", geometry, "the daemon's arm is as it was put together"),
         ("--age", age, "the daemon's servos are as old as they are"),
+        ("--spec", spec_file, "the daemon's arm is the one that it was made of"),
     ):
         if value is not None and not virtual:
             raise ConfigError("armctl experiment", option, why, "leave it out")
     config, arm = output.config, output.arm
-    wanted = Asked(**asked, geometry=geometry or "perfect", age=age or "new")
+    twin = None if spec_file is None else load_twin(spec_file, arm)
+    wanted = Asked(**asked, geometry=geometry or "perfect", age=age or "new", twin=twin)
     if virtual:
         result = on_virtual_arm(arm, wanted, period_s or config.period_s, config, output.progress)
     else:

@@ -70,6 +70,7 @@ def sim_command(
     faults_file: Path | None,
     return_delay_us: int | None,
     factory: bool,
+    spec_file: Path | None,
     **told: Any,
 ) -> int:
     """Simulate an arm: servos that answer the real protocol bytes on a pseudo terminal.
@@ -84,13 +85,15 @@ def sim_command(
     from armctl.sim.arm import SimulatedArm
     from armctl.sim.faults import Fault, Faults, parse
     from armctl.sim.spec import DEFAULT_SPEC, put_together
+    from armctl.sim.twin import load_twin
 
     played = load_arm(arm)
     faults: tuple[Fault, ...] = (Fault(kind="echo"),) if echo else ()
     if faults_file is not None:
         faults += parse(read_text(faults_file, "faults"), str(faults_file), played.servo_ids)
     link = (link or default_link()).absolute()
-    spec, seed = put_together(DEFAULT_SPEC, told.pop("geometry"), told.pop("age")), told["seed"]
+    twin = None if spec_file is None else load_twin(spec_file, played)
+    spec, seed = put_together(DEFAULT_SPEC, told.pop("geometry"), told.pop("age"), twin), told["seed"]
     simulated = SimulatedArm(played, seed=seed, spec=spec, faults=Faults(faults, seed=seed))
     if return_delay_us is not None:
         simulated.set_all(ax12a.RETURN_DELAY, return_delay_us // 2)

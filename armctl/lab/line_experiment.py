@@ -34,6 +34,7 @@ from armctl.report import experiment as page
 from armctl.report.line import ExperimentReport
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.spec import RANDOM_SPEC, put_together
+from armctl.sim.twin import Twin
 from armctl.trajectory.approach import approach_trajectory
 from armctl.trajectory.course import Line
 from armctl.trajectory.interpolate import columns_at
@@ -91,6 +92,8 @@ class Asked(Wanted):
     # Of a virtual arm: how well it was put together, and how old its servos are (`GEOMETRIES`, `AGES`).
     geometry: str = "perfect"
     age: str = "new"
+    # Whose twin it is.
+    twin: Twin | None = None
 
 
 def on_virtual_arm(arm: ArmConfig, asked: Asked, period_s: float, config: Config, stage: Stage) -> dict[str, Any]:
@@ -99,7 +102,7 @@ def on_virtual_arm(arm: ArmConfig, asked: Asked, period_s: float, config: Config
     The sag model is identified and the candidates are guided on the spot. From where the hand leaves the arm, low or
     at its joints' limits, there may be no way back to rest, nor to another line: it is carried to rest.
     """
-    spec = put_together(RANDOM_SPEC, asked.geometry, asked.age)
+    spec = put_together(RANDOM_SPEC, asked.geometry, asked.age, asked.twin)
 
     def at_rest() -> VirtualRig:
         return VirtualRig(SimulatedArm(arm, seed=asked.seed, spec=spec), period_s)

@@ -17,6 +17,7 @@ from armctl.sim.joint import STEP_S, Joint
 from armctl.sim.pair import paired
 from armctl.sim.servo import SimulatedServo
 from armctl.sim.spec import ArmSpec
+from armctl.sim.twin import TwinJoint
 
 
 def build(arm: ArmConfig, spec: ArmSpec, seed: int) -> tuple[SerialChain, list[Joint], PointMasses]:
@@ -47,6 +48,9 @@ def build(arm: ArmConfig, spec: ArmSpec, seed: int) -> tuple[SerialChain, list[J
     for joint in joints:
         joint.stall_Nm = joint.spec.stall_torque_Nm * (1.0 + spec.stall_spread * float(rng.uniform(-1.0, 1.0)))
         _make_its_own(joint, draws)
+    twins = () if spec.twin is None else spec.twin.joints.values()
+    for joint, twin, config in zip(joints, twins, arm.joints, strict=False):
+        _become(joint, twin, config)
     servo_kg = spec.servo_kg + spec.bracket_kg
     servos_kg = [servo_kg * (1.0 + spec.mass_spread * float(rng.uniform(-1.0, 1.0))) for _ in joints]
     for servo in arm.servos[len(joints) :]:
@@ -57,7 +61,32 @@ def build(arm: ArmConfig, spec: ArmSpec, seed: int) -> tuple[SerialChain, list[J
         joints.append(second)
         servos_kg[servo.of] += servo_kg
     # Servos beyond the chain sit midway between its last axis and the tool.
-    return chain, joints, PointMasses(chain, (*servos_kg[: chain.n], sum(servos_kg[chain.n :]), tool_kg))
+    points_kg = (*servos_kg[: chain.n], sum(servos_kg[chain.n :]), tool_kg)
+    return chain, joints, PointMasses(chain, points_kg if spec.twin is None else spec.twin.points_kg)
+
+
+def _become(joint: Joint, twin: TwinJoint, config: JointConfig) -> None:
+    """Be as another arm's joint was found; what was not found stays as it was drawn."""
+    servo, slope_tick = joint.servo, ax12a.compliance_slope(config.compliance.slope)
+    drawn = {
+        "coulomb_Nm": joint.coulomb_Nm,
+        "stiction_ratio": joint.stiction_Nm / joint.coulomb_Nm,
+        "slope_tick": servo.slope_share * slope_tick,
+        "play_deg": math.degrees(2.0 * joint.half_play_rad),
+        "delay_ms": 1e3 * joint.dead_steps * STEP_S,
+        "stall_Nm": joint.stall_Nm,
+        "no_load_rad_s": joint.spec.no_load_speed_rad_s,
+        "load_friction": joint.load_friction,
+        "noise_tick": servo.noise_tick,
+    }
+    now = drawn | twin.model_dump(exclude_none=True)
+    joint.coulomb_Nm, joint.stiction_Nm = now["coulomb_Nm"], now["coulomb_Nm"] * now["stiction_ratio"]
+    joint.stall_Nm, joint.load_friction, servo.noise_tick = (
+        now[k] for k in ("stall_Nm", "load_friction", "noise_tick")
+    )
+    joint.half_play_rad, joint.dead_steps = math.radians(now["play_deg"]) / 2.0, round(1e-3 * now["delay_ms"] / STEP_S)
+    joint.spec = replace(joint.spec, no_load_speed_rad_s=now["no_load_rad_s"])
+    servo.slope_share = now["slope_tick"] / slope_tick
 
 
 def _make_its_own(joint: Joint, draws: Draws) -> None:

@@ -13,6 +13,7 @@ from armctl.config import parse_yaml
 from armctl.dynamixel import ax12a
 from armctl.sim.geometry import PERFECT, Geometry
 from armctl.sim.servo import ServoVariants
+from armctl.sim.twin import Twin
 
 
 @dataclass(frozen=True)
@@ -93,6 +94,8 @@ class ArmSpec:
     variants: ServoVariants = field(default_factory=ServoVariants)
     # What else is off, by streams of their own.
     geometry: Geometry = PERFECT
+    # The arm that it is the twin of: what was found of that one is not drawn.
+    twin: Twin | None = None
 
 
 DEFAULT_SPEC = ArmSpec()
@@ -112,9 +115,12 @@ AGES: dict[str, dict[str, Any]] = {"new": {}, "worn": _PUBLISHED | _SIZES.valida
 RANGE_SPEC = replace(RANDOM_SPEC, **_PUBLISHED)
 
 
-def put_together(spec: ArmSpec, geometry: str, age: str) -> ArmSpec:
-    """The arm as well put together, and with servos as old, as asked (`GEOMETRIES`, `AGES`).
+def put_together(spec: ArmSpec, geometry: str, age: str, twin: Twin | None = None) -> ArmSpec:
+    """The arm as well put together, and with servos as old, as asked (`GEOMETRIES`, `AGES`); or the twin of another.
 
     What is drawn of it stays, in other sizes.
     """
-    return replace(spec, geometry=GEOMETRIES[geometry], **AGES[age])
+    if twin is not None:
+        variants = replace(spec.variants, ramp_from_reference=twin.ramp_from_reference is not False)
+        spec = replace(spec, variants=variants, zero_offset_tick=0.0, zero_offset_within_tick=None)
+    return replace(spec, geometry=GEOMETRIES[geometry], **AGES[age], twin=twin)

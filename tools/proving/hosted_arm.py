@@ -26,6 +26,7 @@ from armctl.messages import Command, Mode, TickRecord
 from armctl.recording.recorder import Recorder
 from armctl.recording.writer import LogContext
 from armctl.sim.arm import SimulatedArm
+from armctl.sim.spec import DEFAULT_SPEC, ArmSpec
 from armctl.sim.virtual_arm import VirtualArm
 from proving.truth import FloatArray
 
@@ -65,13 +66,20 @@ class _Client:
 class HostedArm:
     """One arm by its file; its recordings, logs and plans go below a folder. To be made where an event loop runs."""
 
-    def __init__(self, file: Path, folder: Path, seed: int, tool_m: Callable[[FloatArray], FloatArray]) -> None:
+    def __init__(
+        self,
+        file: Path,
+        folder: Path,
+        seed: int,
+        tool_m: Callable[[FloatArray], FloatArray],
+        spec: ArmSpec = DEFAULT_SPEC,
+    ) -> None:
         """
         Args:
             tool_m: Where the tool truly is [m], (m, joints) -> (m, 3).
         """
         self.arm = load_arm(str(file))
-        self.simulated, self._tool_m = SimulatedArm(self.arm, seed=seed), tool_m
+        self.simulated, self._tool_m = SimulatedArm(self.arm, seed=seed, spec=spec), tool_m
         self.virtual = VirtualArm(self.simulated, PERIOD_S)
         self._config = Config(arm=str(file), data_dir=str(folder), log=LogConfig(free_bytes=0))
         self.serve(folder)

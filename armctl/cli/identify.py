@@ -1,0 +1,81 @@
+"""`armctl identify`: what the arm's servos are like, and its twin for the simulator."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from armctl.cli.output import CONFIG, HOLDS, SOCKET, Output, command
+from armctl.cli.tables import show_rows
+from armctl.errors import ConfigError
+from armctl.files import load_arm
+
+if TYPE_CHECKING:
+    from armctl.config import ArmConfig
+    from armctl.trajectory.identification import Trace
+
+
+@command("identify", SOCKET, CONFIG)
+def identify_command(
+    output: Output, joints: str | None, quick: bool, report: Path | None, from_logs: tuple[Path, ...]
+) -> None:
+    """Find friction, slope, play and delay of each joint: the daemon moves one after the other, about five minutes.
+
+    The arm stands up, leans by some degrees and sweeps by 16 deg to either side, one joint at a time, and is back where
+    it was at the end. Pre-flight looks at every motion before it begins. Keep clear; Ctrl-C stops it. --quick only
+    finds out how servos begin their speed ramps, by a few degrees where the arm stands. --from-logs moves nothing.
+
+    What was not seen is said. The spec that comes of it is the twin of this arm: `armctl sim --spec FILE`.
+
+    Example: armctl torque on; armctl identify --report servos.html
+    """
+    from armctl.kinematics import robots
+    from armctl.lab import identification as lab
+    from armctl.report import identified
+    from armctl.trajectory.identification import Trace, identify
+
+    if from_logs:
+        logs = [lab.read(path) for path in from_logs]
+        arm, traces = logs[0][0], [trace for _, trace in logs]
+        if others := [path for path, (other, _) in zip(from_logs, logs, strict=True) if other.arm_id != arm.arm_id]:
+            raise ConfigError("armctl identify", "--from-logs", f"{others[0]} is of another arm", "leave it out")
+    else:
+        arm, traces = _moved(output, joints, quick=quick)
+    found = identify(arm, robots.of(arm).chain, Trace.joined(traces))
+    result: dict[str, Any] = {"joints": lab.told(found), "ramp_from_reference": found.ramp_from_reference, "spec": None}
+    if quick:
+        result["joints"] = []
+    else:
+        result["spec"] = str(lab.save(output.config, arm, found))
+    if report is not None:
+        identified.write(found, report)
+    output.answer(result, lambda: _show(output, result))
+
+
+def _moved(output: Output, joints: str | None, *, quick: bool) -> tuple[ArmConfig, list[Trace]]:
+    """The daemon's arm, and what its servos said while it moved."""
+    from armctl.lab import identification as lab
+
+    arm = load_arm(output.config.arm)
+    names = arm.joint_names if joints is None else joints.split(",")
+    if unknown := set(names) - set(arm.joint_names):
+        known = f"name some of {','.join(arm.joint_names)}"
+        raise ConfigError("armctl identify", "--joints", f"no joint {sorted(unknown)[0]}", known)
+    output.after_interrupt = f"{HOLDS}; recordings of the motions so far are kept"
+    output.warn("the arm moves now, one joint after the other; keep clear")
+    with output.client() as client, output.progress("small motions; Ctrl-C stops", 1.0) as show:
+        return arm, lab.moved(client, arm, [arm.joint_names.index(name) for name in names], show, quick=quick)
+
+
+def _show(output: Output, result: dict[str, Any]) -> None:
+    if result["joints"]:
+        show_rows(output.console, "identified", "Each with its standard deviation", result["joints"])
+    for row in result["joints"]:
+        for key, why in row["unseen"].items():
+            output.say(f"{row['name']}: {key} was not seen: {why}")
+    ramp = {True: "go on from where they are", False: "begin at the shaft", None: "were not seen"}
+    output.say(f"with a new goal the speed ramps {ramp[result['ramp_from_reference']]} (ramp_from_reference)")
+    if result["spec"]:
+        output.say(
+            f"{result['spec']}: the twin of this arm; armctl sim --spec, armctl experiment line --virtual --spec"
+        )
