@@ -3,21 +3,13 @@
 import math
 from pathlib import Path
 
-from armctl.report.page import Page
+import yaml
+
+from armctl.report.page import Page, curve
 from armctl.trajectory.identification import Found
 
-# Of each quantity: heading, unit, what the simulator draws of new servos and of worn ones, and its column here.
-ASSUMED = {
-    "coulomb_Nm": ("Friction", "N m", 0.08, 0.24),
-    "stiction_ratio": ("Stiction over friction", "", 1.02, 1.61),
-    "slope_tick": ("Compliance slope", "tick", 19.2, 32.0),
-    "punch": ("Punch", "of 1023", 32.0, 32.0),
-    "play_deg": ("Play between motor and shaft", "deg", 0.25, 1.5),
-    "delay_ms": ("Delay from a goal to the controller", "ms", 17.4, 50.2),
-    "stall_Nm": ("Strength at 12 V", "N m", 1.2, 1.8),
-    "no_load_rad_s": ("Speed without load at 12 V", "rad/s", 5.56, 6.80),
-    "load_friction": ("Friction of a load, per load", "", 0.0, 0.15),
-}
+# Of each quantity: heading, unit, the least and the most that the simulator draws.
+ASSUMED = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
 LIKELY = 2.0
 
 
@@ -27,10 +19,10 @@ def write(found: Found, path: Path) -> None:
     Raises:
         LogError: it cannot be written.
     """
-    page, rows = Page("What these servos are like", light=True), []
+    page, rows = Page("What these servos are like"), []
     page.text(
         "Found by small motions, or from logs. Joints are counted from the base. Bars are two standard deviations; the "
-        "grey band is what armctl's simulator draws, from new servos to worn ones."
+        "simulator's servos, from new ones to worn ones, lie between the grey lines."
     )
     for key, (title, unit, low, high) in ASSUMED.items():
         seen = [(number, *joint.values[key]) for number, joint in enumerate(found.joints, 1) if key in joint.values]
@@ -41,9 +33,9 @@ def write(found: Found, path: Path) -> None:
             continue
         numbers, values, sds = zip(*seen, strict=True)
         with page.chart(f"{title} of each joint", title, "joint", unit, 260) as chart:
+            chart.layout |= {"showlegend": False, "xaxis": {"title": {"text": "joint"}, "dtick": 1}}
             for edge in (low, high):
-                ends = [0.5, len(found.joints) + 0.5]
-                chart.add("scatter", x=ends, y=[edge, edge], name="assumed", mode="lines", line={"color": "#999"})
+                curve(chart, [0.5, len(found.joints) + 0.5], [edge, edge], "assumed", "#999999")
             bars = {"type": "data", "array": [LIKELY * sd for sd in sds]}
             chart.add("scatter", x=numbers, y=values, error_y=bars, name="found", mode="markers")
     ramp = {True: "confirmed", False: "refuted: they begin at the shaft", None: "not seen"}[found.ramp_from_reference]

@@ -49,8 +49,8 @@ FULL, STEADY_RAD_S, PARTS, GAP_S = 0.9, 0.12, 20, 0.3
 FEWEST, MOST, STAND, SETTLES = 40, 20_000, 15, 8
 # Gravity that pushes a shaft to an end of its play [N m], and what of its friction may turn its motor.
 PUSHES_NM, TURNS = 0.02, 0.75
-# The least standard deviations: friction, slope (shares), play [deg], delay [s].
-FLOOR = {"friction": 0.04, "play": 0.02, "delay": 0.0015, "slope": 0.02}
+# The least standard deviations: friction, speed, slope (shares), play [deg], delay [s].
+FLOOR = {"friction": 0.04, "speed": 0.06, "play": 0.02, "delay": 0.0015, "slope": 0.02}
 QUANTITIES = ("coulomb_Nm", "stiction_ratio", "slope_tick", "punch", "play_deg", "delay_ms")
 
 
@@ -299,7 +299,10 @@ def _balance(
         at = n + 1 + count * np.arange(4) + h
         sds = np.sqrt(np.diag(cov)[at]).tolist()
         both = math.sqrt(float(cov[np.ix_(at[[0, 2]], at[[0, 2]])].sum()))
-        joint.values |= {"stall_Nm": (stall, stall * sds[0]), "no_load_rad_s": (free, free * sds[1])}
+        joint.values |= {
+            "stall_Nm": (stall, stall * sds[0]),
+            "no_load_rad_s": (free, free * math.hypot(sds[1], FLOOR["speed"])),
+        }
         joint.values["load_friction"] = max(load, 0.0), sds[3]
         if min((v > 0.0).sum(), (v < 0.0).sum()) >= FEWEST / 4:
             joint.values["coulomb_Nm"] = coulomb, coulomb * math.hypot(both, FLOOR["friction"])
