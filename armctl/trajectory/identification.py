@@ -42,7 +42,7 @@ FRICTION_SHARE, LOAD_FRICTION, INERTIA_S2 = 0.08, 0.075, 0.006
 SPOILS = 5.0
 DELAYS_S = np.arange(0.0, 0.1, 0.001)
 # A delay whose standard deviation would be larger was not seen; what is farther off a ramp is none of it.
-UNSEEN_DELAY_S, OUTLIER_TICK = 0.02, 8.0
+UNSEEN_DELAY_S, OUTLIER_TICK = 0.008, 8.0
 # An output that is not limited; a joint that slides steadily; instants between two readings; two readings that follow.
 FULL, STEADY_RAD_S, PARTS, GAP_S = 0.9, 0.12, 20, 0.3
 # Samples without which nothing is said, and with which all is; of a stand on either side of a play, and before it.
