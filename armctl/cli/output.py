@@ -292,16 +292,20 @@ def command(
     return made
 
 
-def kept_option(words: str, made: Callable[[str], Any] | None = None, **about: Any) -> click.Parameter:
-    """An option of the table `kept`; its value, or what is made of it, stands in the `Output` by the option's name."""
+def kept_option(words: str, made: Callable[[str], Any] | None = None, name: str = "", **about: Any) -> click.Parameter:
+    """An option of the table `kept`; its value, or what is made of it, stands in the `Output`.
+
+    Args:
+        name: Under which name; left out: the option's. Two options of a command may not have the same.
+    """
 
     def keep(ctx: click.Context, option: click.Parameter, value: Any) -> None:
         if value is not None and value is not False:  # what a group was given stays for its commands
-            setattr(ctx.ensure_object(Output), str(option.name), made(value) if made else value)
+            setattr(ctx.ensure_object(Output), name or str(option.name), made(value) if made else value)
 
     return parameter(words, tables("shared")["kept"][words] | about, expose_value=False, callback=keep)
 
 
 JSON, SOCKET, CONFIG = map(kept_option, ("--json", "--socket", "--config config_file"))
 LINK, BAUD, PORT = map(kept_option, ("--link", "--baud", "--port"))
-ARM, SERVED = kept_option("--arm arm_name"), kept_option("--arm socket", served_socket)
+ARM, SERVED = kept_option("--arm arm_name"), kept_option("--arm service", served_socket, "socket")

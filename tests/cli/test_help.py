@@ -1,6 +1,10 @@
+from collections import Counter
+
+import click
 import pytest
 from pydantic import BaseModel
 
+from armctl.cli import cli
 from armctl.cli.help import TOPICS, key_comments
 from armctl.config import (
     ArmConfig,
@@ -25,6 +29,21 @@ def test_help_lists_its_topics(typed: Typed) -> None:
 def test_every_topic_is_explained(topic: str, typed: Typed, answer: Answer) -> None:
     assert answer("help", topic)["text"].startswith("# ")
     assert len(typed("help", topic).out) > 300
+
+
+def test_an_option_that_is_kept_has_a_name_of_its_own() -> None:
+    def look(command: click.Command, typed: str) -> None:
+        names = Counter(parameter.name for parameter in command.params)
+        assert {
+            parameter.name for parameter in command.params if not parameter.expose_value and names[parameter.name] > 1
+        } == set(), typed
+        for name, one in getattr(command, "commands", {}).items():
+            look(one, f"{typed} {name}")
+
+    for name in cli.list_commands(click.Context(cli)):
+        one = cli.get_command(click.Context(cli), name)
+        assert one is not None
+        look(one, name)
 
 
 MODELS = (ArmConfig, ChainRow, ChainTable, Compliance, Config, GripperConfig, JointConfig, LogConfig, OwnGripper)
