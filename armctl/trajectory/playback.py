@@ -110,14 +110,15 @@ def motion_from_text(text: str, file: str) -> TaughtMotion:
     Raises:
         ConfigError: the table is none, or holds no motion; names the row or field, the value and its bound.
     """
-    rows = [row for row in csv.reader(io.StringIO(text), skipinitialspace=True) if any(cell.strip() for cell in row)]
-    header = [name.strip() for name in rows[0]] if rows else []
+    lines = enumerate(csv.reader(io.StringIO(text), skipinitialspace=True), 1)
+    rows = [(number, row) for number, row in lines if any(cell.strip() for cell in row)]
+    header = [name.strip() for name in rows[0][1]] if rows else []
     columns = [name for name in header if name.endswith(EXPORTED)] or [name for name in header if name != TIME]
     if TIME not in header or not columns:
         remedy = "the first row must be time_s and the joints' names, such as time_s,base,shoulder"
         raise ConfigError(file, "header", f"no column {TIME if TIME not in header else 'of a joint'}", remedy)
     time_s, positions = [], []
-    for number, row in enumerate(rows[1:], 2):
+    for number, row in rows[1:]:
         if len(row) != len(header):
             raise ConfigError(file, f"row {number}", f"has {len(row)} cells, the header {len(header)}")
         cells = dict(zip(header, row, strict=True))

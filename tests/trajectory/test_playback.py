@@ -155,6 +155,7 @@ def test_of_an_exported_log_the_joints_positions_count() -> None:
         ("time_s\n0\n1\n", "no column of a joint"),
         ("time_s,base,base\n0,0.1,0.1\n1,0.1,0.1\n", "each may stand there once"),
         ("time_s,base\n0,0.1\n1,much\n", "row 3"),
+        ("time_s,base\n\n0,0.1\n1,much\n", "row 4"),
         ("time_s,base\n0,0.1\n1\n", "row 3: has 1 cells, the header 2"),
         ("time_s,base\n0,0.1\n1,nan\n", "positions_rad"),
         ("time_s,base\n0,0.1\n0,0.2\n", "it must rise"),
