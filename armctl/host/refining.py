@@ -6,7 +6,7 @@ Rules.
 3. Each run is a recording. The best plan so far is a file as soon as it is known, so whatever ends the refinement,
    a client that leaves included, nothing is lost: once there is one whole run, the answer tells what was reached.
 4. The time of a reading is the plan's, not the clock's: it does no harm that the arm waited a few ticks for a servo. A
-   run that took longer than its plan by more than `WAITED_SHARE` (paused, or slowed down) is repeated, not learnt from.
+   run that `waited_long` (paused, or slowed down) is repeated, not learnt from.
 """
 
 import asyncio
@@ -26,11 +26,11 @@ from armctl.host.watch import Done
 from armctl.recording.disk import put
 from armctl.trajectory.course import course_of
 from armctl.trajectory.plan import Plan, plan_to_text
-from armctl.trajectory.refinement import Measured, Refinement, Round, following, seen_mm
+from armctl.trajectory.refinement import Measured, Refinement, Round, following, seen_mm, waited_long
 
 MOST_FURTHER = 20
-# Runs in a row that may be disturbed, and the share of its time for which a run may wait.
-TRIES, WAITED_SHARE = 3, 0.08
+# Runs in a row that may be disturbed.
+TRIES = 3
 # Less than this is no progress.
 SAME_S = 1e-3
 
@@ -102,7 +102,7 @@ class _Job:
             legs, note = [run_leg(self.host, plan, corrected=self.corrected)], plan_note(plan, corrected=self.corrected)
             name, [done] = await self.host.carry_out(self.lease, legs, note)
             result = self.results[name] = {"recording": name, **line_result(plan, done, self.host.robot)}
-            if result["duration_s"] <= (1.0 + WAITED_SHARE) * plan.duration_s + self.host.period_s / 2.0:
+            if not waited_long(plan, result["duration_s"], self.host.period_s):
                 return measured(name, done)
             if self.work is not None:
                 self.work.lost()

@@ -46,7 +46,7 @@ from armctl.report.line import Goals
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.control import SimulatorClient, control_path
 from armctl.trajectory.plan import Plan, plan_from_text
-from armctl.trajectory.refinement import Measured
+from armctl.trajectory.refinement import Measured, waited_long
 from armctl.trajectory.straightness import errors_mm, own_chord_mm
 
 # Lines that the hand may take [m], the first one in reach: how far ahead, how far to each side, how high.
@@ -233,11 +233,11 @@ def _ran(session: _Session, out: Path, plan: Plan, goals: Goals, answer: dict[st
 def _learn(rig: DaemonRig, config: Config, runs: list[_Ran], stage: Stage) -> None:
     """Store how the arm lagged in its plain runs beside its file, from where the daemon takes it before the next run.
 
-    A run in which the arm waited for a servo's reading says nothing of its lag in time; with none left the daemon goes
-    on foreseeing the lag of a new arm.
+    A run in which the arm waited long says nothing of its lag; with none left the daemon goes on foreseeing the lag of
+    a new arm.
     """
     with stage("learning how the arm lags", 1) as show:
-        seen = [(ran.plan, ran.measured) for ran in runs if not rig.was_disturbed(ran.plan, ran.measured)]
+        seen = [(r.plan, r.measured) for r in runs if not waited_long(r.plan, r.measured.duration_s, rig.period_s)]
         if seen:
             sag_file.save(config, sag_identification.learnt(rig, seen))
         show(1, f"from {len(seen)} runs")

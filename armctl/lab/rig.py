@@ -24,7 +24,7 @@ from armctl.sim.arm import SimulatedArm
 from armctl.sim.virtual_arm import VirtualArm
 from armctl.trajectory.course import Driven
 from armctl.trajectory.plan import Plan, joint_trajectory, preflight
-from armctl.trajectory.refinement import Measured
+from armctl.trajectory.refinement import Measured, waited_long
 
 # Time between two points of the true tool path.
 TRUTH_NS = 4_000_000
@@ -166,24 +166,22 @@ class DaemonRig:
         """The daemon has it from the file beside the calibration."""
 
     def run(self, plan: Plan, *, corrected: bool = True) -> Measured:
-        """As `Rig.run`. A run that waited for a silent servo took longer than the plan; it is repeated."""
+        """As `Rig.run`. A run that waited for servos for long is repeated."""
         for _ in range(TRIES):
             answer = self._client.call("run", plan=plan.model_dump(mode="json"), corrected=corrected)
             path = Path(self._client.call("recordings_show", name=answer["recording"])["path"])
             measured = measured_run(recordings.load(path), float(answer["duration_s"]))
-            if not self.was_disturbed(plan, measured):
+            if not waited_long(plan, measured.duration_s, self.period_s):
                 return measured
         took = f"{TRIES} runs in a row took {measured.duration_s:.2f} s or so instead of {plan.duration_s:.2f} s"
         why = "servos miss readings and the arm waits for them; see `armctl doctor`"
         raise RequestRefused("DISTURBED", f"{took}: {why}")
 
-    def was_disturbed(self, plan: Plan, measured: Measured) -> bool:
-        """Whether a run waited for a silent servo, and so took longer than its plan."""
-        return abs(measured.duration_s - plan.duration_s) >= self.period_s / 2.0
-
 
 def measured_run(run: Recording, duration_s: float) -> Measured:
-    """What a recorded run measured between the begin and the end of its plan.
+    """What a recorded run measured between the begin and the end of its plan, by the plan's time.
+
+    What was read while the arm waited does not count; where it began to, a servo had not been heard.
 
     Raises:
         RequestRefused: RECORDS_LOST, the plan's begin or end is missing.
@@ -191,5 +189,7 @@ def measured_run(run: Recording, duration_s: float) -> Measured:
     if run.plan_s is None:
         raise RequestRefused("RECORDS_LOST", f"{run.path}: the plan's begin or end is missing in the recording")
     begin_s, end_s = run.plan_s
-    inside = (run.time_s >= begin_s - 1e-6) & (run.time_s <= end_s + 1e-6)
-    return Measured(run.time_s[inside] - begin_s, run.positions_rad[inside], duration_s, run.name)
+    stood = np.diff(run.waited_s, prepend=0.0) > 0.9 * np.diff(run.time_s, prepend=-1.0)
+    some = (run.time_s >= begin_s - 1e-6) & (run.time_s <= end_s + 1e-6) & ~(stood | np.append(stood[1:], False))
+    waited_s = run.waited_s[some] - np.interp(begin_s, run.time_s, run.waited_s)
+    return Measured(run.time_s[some] - begin_s - waited_s, run.positions_rad[some], duration_s, run.name)

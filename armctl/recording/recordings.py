@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from armctl.clock import NS_PER_S
 from armctl.config import NAME_PATTERN, validate
@@ -23,7 +24,7 @@ from armctl.errors import LogError
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
-from armctl.recording.channels import COMMAND, CONTROL, JOINT_STATES, ROSOUT
+from armctl.recording.channels import COMMAND, CONTROL, CYCLE, JOINT_STATES, ROSOUT
 from armctl.recording.columns import Table
 from armctl.recording.disk import PART, owned, publish, writing
 from armctl.recording.log_file import LogFile
@@ -48,7 +49,8 @@ class Recording:
     """Joint positions of one take.
 
     `time_s` (m,) counts from the first sample; `positions_rad` has shape (m, n) with the joints in the order of
-    `joint_names`. `plan_s` is the window in which a plan proper was executed, if one was: [begin, end].
+    `joint_names`. `plan_s` is the window in which a plan proper was executed, if one was: [begin, end]. `waited_s` (m,)
+    tells for how long until then the arm had stood in a motion, waiting for a servo.
     """
 
     name: str
@@ -62,6 +64,7 @@ class Recording:
     positions_rad: FloatArray
     plan_s: tuple[float, float] | None
     complete: bool
+    waited_s: FloatArray
 
     @property
     def duration_s(self) -> float:
@@ -92,7 +95,7 @@ def load(path: Path) -> Recording:
         path = part
     marks: dict[str, int] = {}
     with LogFile(path) as log:
-        found = log.payloads((JOINT_STATES, ROSOUT))
+        found = log.payloads((JOINT_STATES, CYCLE, ROSOUT))
         tables = log.tables(JOINT_STATES, found[JOINT_STATES]) if len(found[JOINT_STATES].size) else ()
         # A joint that has never answered is in no message: those count that name the most.
         names, table = max(map(_named, tables), key=lambda named: len(named[0]), default=((), None))
@@ -108,7 +111,7 @@ def load(path: Path) -> Recording:
         if len(marks) == 2:
             begin_s, end_s = ((marks[key] - start_ns) / NS_PER_S for key in ("PLAN_BEGIN", "PLAN_END"))
             window = (begin_s, end_s) if begin_s <= end_s else None
-        facts = log.facts
+        facts, cycles = log.facts, log.tables(CYCLE, found[CYCLE]) if len(found[CYCLE].size) else ()
         return Recording(
             name=take_name(path),
             path=path,
@@ -120,6 +123,7 @@ def load(path: Path) -> Recording:
             positions_rad=table.numbers("position"),
             plan_s=window,
             complete=log.complete,
+            waited_s=_waited_s(cycles, times_ns),
         )
 
 
@@ -127,6 +131,22 @@ def _named(table: Table) -> tuple[tuple[str, ...], Table]:
     """The joints of a table, if it has a position for each of them."""
     names = tuple(str(column[0]) for path, column in table.columns.items() if path.startswith("name["))
     return names if table.numbers("position").shape[-1] == len(names) else (), table
+
+
+def _waited_s(cycles: Sequence[Table], times_ns: NDArray[np.int64]) -> FloatArray:
+    """For how long the arm had waited at some times: while its motion went on less than it did in most ticks [s]."""
+    at_ns = np.concatenate([np.empty(0, np.int64), *(table.log_time_ns.astype(np.int64) for table in cycles)])
+    progress = np.concatenate([np.empty(0), *(np.asarray(table.columns["progress"]) for table in cycles)])
+    order = np.argsort(at_ns)
+    at_ns, progress = at_ns[order], progress[order][:-1]
+    # What a tick does is seen by the next one.
+    steps = np.diff(progress, prepend=-1.0)
+    if not (steps > 0.0).any():
+        return np.zeros(len(times_ns))
+    share = np.clip(1.0 - steps / np.median(steps[steps > 0.0]), 0.0, 1.0)
+    waits = (progress >= 0.0) & (share > 0.1)
+    waited_ns = np.append(0.0, np.cumsum(np.where(waits, share * np.diff(at_ns), 0.0)))
+    return np.asarray(np.interp(times_ns, at_ns, waited_ns) / NS_PER_S)
 
 
 def drawn(count: int, most: int = MOST_POINTS) -> Any:

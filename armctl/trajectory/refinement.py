@@ -53,6 +53,8 @@ NOISE_MM = 0.07
 NOISE_RUNS = 2
 # Codes of refusals that say that a correction leads where the arm must not go.
 ASTRAY = ("PREFLIGHT", "LIMIT")
+# Of a plan's time, for how much of it a run may wait.
+WAITED_SHARE = 0.08
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +98,11 @@ class Round:
     def filtered_mm(self) -> float:
         """The figure by which rounds are compared: the median over the runs."""
         return float(np.median(self.run_mm))
+
+
+def waited_long(plan: Plan, duration_s: float, period_s: float) -> bool:
+    """Whether a run stood for so long (paused, or waiting for servos), or was so slow, that nothing is learnt of it."""
+    return duration_s > (1.0 + WAITED_SHARE) * plan.duration_s + period_s / 2.0
 
 
 def lag_of(on: Driven, plan: Plan, measured: Measured) -> FloatArray:

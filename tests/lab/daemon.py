@@ -71,4 +71,5 @@ class SimulatedDaemon:
             positions_rad=np.pad(run.positions_rad, ((1, 1), (0, 0)), mode="edge"),
             plan_s=(BEGIN_S, BEGIN_S + run.duration_s),
             complete=True,
+            waited_s=np.zeros(len(run.time_s) + 2),
         )

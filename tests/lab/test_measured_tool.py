@@ -15,7 +15,9 @@ CHAIN = hand.robot().chain
 def recording(plan_s: tuple[float, float] | None = (1.0, 6.0)) -> Recording:
     q = np.column_stack([hand.joint_line(), np.zeros(65)])
     time_s = np.linspace(0.0, 6.4, 65)
-    return Recording("run", Path("run.mcap"), "a", "h", hand.arm().joint_names, 0, time_s, q, plan_s, True)
+    return Recording(
+        "run", Path("run.mcap"), "a", "h", hand.arm().joint_names, 0, time_s, q, plan_s, True, 0.0 * time_s
+    )
 
 
 def write(path: Path, text: str) -> Path:
