@@ -83,7 +83,7 @@ class Trace:
         parts: list[dict[str, Any]] = []
         last_s, later_s = -math.inf, 0.0
         for trace in traces:
-            begin_s, end_s = float(trace.read_s[:, 0].min()), float(trace.read_s[:, 0].max())
+            begin_s, end_s = np.quantile(trace.read_s[:, 0], (0.0, 1.0)).tolist()
             new = trace.read_s[:, 0] > (last_s if begin_s < last_s < end_s else -math.inf)
             later_s += 0.0 if end_s > last_s else last_s  # the machine was started anew
             part = {one.name: getattr(trace, one.name)[new] for one in fields(cls)}
