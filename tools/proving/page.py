@@ -54,6 +54,8 @@ CUTS = 400
 # A tool that goes less far than that in 50 ms stands (4 mm/s); it was led at 30 mm/s.
 STANDS_M = 0.0002
 LED_M_S = 0.03
+# Where it is led up and down from, and comes back to after so many cuts: no joint is near a limit there.
+MIDDLE_M, ASTRAY = (0.18, 0.0, 0.15), 20
 # Arms, the line that each can reach [m], and by what it is driven.
 JOURNEYS = tuple(
     (arm, line, size)
@@ -224,17 +226,16 @@ def cut_off(seed: int, count: int, tell: Callable[[str], None] = lambda _: None)
         SimulatorClient(control_path(Path(name) / "servos")) as simulator,
     ):
         hold(client, 20.0)
-        risen_m = 0.0
         for number in range(count):
-            # Back to where it began, or it would soon be led against the end of its way, which stops it as well.
-            way, side = WAYS[number % 2], -1.0 if risen_m > 0.0 else 1.0
+            if number % ASTRAY == 0:  # or it would some time be led against the end of its way, which stops it as well
+                client.call("move", point_m=MIDDLE_M)
+            way, side = WAYS[number % 2], 1.0 if number % 4 < 2 else -1.0
             begin_ns = time.monotonic_ns()
             with contextlib.closing(http.client.HTTPConnection("127.0.0.1", running.port, timeout=20.0)) as connection:
                 cut_ns = _led(connection, running.token, way, side * LED_M_S, float(rng.uniform(0.4, 1.0)))
                 time.sleep(1.0)
             truth = simulator.truth(begin_ns, time.monotonic_ns())
             rows.append({"way": way, **stood(truth.time_ns, truth.tool_m, cut_ns)})
-            risen_m += float(truth.tool_m[-1, 2] - truth.tool_m[0, 2])
             if number % 20 == 19:
                 tell(f"{number + 1} of {count}, the slowest {max(row['stopped_s'] for row in rows):.3f} s")
     return rows
