@@ -17,7 +17,12 @@ if TYPE_CHECKING:
 
 @command("identify", SOCKET, CONFIG)
 def identify_command(
-    output: Output, joints: str | None, quick: bool, report: Path | None, from_logs: tuple[Path, ...]
+    output: Output,
+    joints: str | None,
+    quick: bool,
+    report: Path | None,
+    from_logs: tuple[Path, ...],
+    more: tuple[str, ...],
 ) -> None:
     """Find friction, slope, play and delay of each joint: the daemon moves one after the other, about five minutes.
 
@@ -34,13 +39,16 @@ def identify_command(
     from armctl.report import identified
     from armctl.trajectory.identification import Trace, identify
 
+    if more and not from_logs and joints is None:
+        raise ConfigError("armctl identify", more[0], "belongs to no option", "name it behind --from-logs or --joints")
     if from_logs:
+        from_logs += tuple(map(Path, more))
         logs = [lab.read(path) for path in from_logs]
         arm, traces = logs[0][0], [trace for _, trace in logs]
         if others := [path for path, (other, _) in zip(from_logs, logs, strict=True) if other.arm_id != arm.arm_id]:
             raise ConfigError("armctl identify", "--from-logs", f"{others[0]} is of another arm", "leave it out")
     else:
-        arm, traces = _moved(output, joints, quick=quick)
+        arm, traces = _moved(output, joints and ",".join((joints, *more)), quick=quick)
     found = identify(arm, robots.of(arm).chain, Trace.joined(traces))
     result: dict[str, Any] = {"joints": lab.told(found), "ramp_from_reference": found.ramp_from_reference, "spec": None}
     if quick:
