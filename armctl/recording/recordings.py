@@ -50,7 +50,7 @@ class Recording:
 
     `time_s` (m,) counts from the first sample; `positions_rad` has shape (m, n) with the joints in the order of
     `joint_names`. `plan_s` is the window in which a plan proper was executed, if one was: [begin, end]. `waited_s` (m,)
-    tells for how long until then the arm had stood in a motion, waiting for a servo.
+    tells for how long until then the arm had stood, or been slowed down, in a motion (0 where the log tells of none).
     """
 
     name: str
@@ -135,6 +135,7 @@ def _named(table: Table) -> tuple[tuple[str, ...], Table]:
 
 def _waited_s(cycles: Sequence[Table], times_ns: NDArray[np.int64]) -> FloatArray:
     """For how long the arm had waited at some times: while its motion went on less than it did in most ticks [s]."""
+    cycles = [table for table in cycles if "progress" in table.columns]
     at_ns = np.concatenate([np.empty(0, np.int64), *(table.log_time_ns.astype(np.int64) for table in cycles)])
     progress = np.concatenate([np.empty(0), *(np.asarray(table.columns["progress"]) for table in cycles)])
     order = np.argsort(at_ns)

@@ -10,7 +10,7 @@ from armctl.dynamixel import ax12a
 from armctl.json_text import command_from_json
 from armctl.kinematics.chain import link_frames
 from armctl.kinematics.transform import matrix_from_quaternion
-from armctl.messages import Event, Fault, Reply, Run, TickRecord
+from armctl.messages import Event, Fault, JointTrajectory, Reply, Run, TickRecord
 from armctl.recording import channels
 from armctl.recording.cdr import Value
 from armctl.recording.channels import TOPICS, Anchor
@@ -104,3 +104,10 @@ def test_diagnostics_tell_fault_and_silent_servos() -> None:
 def test_epoch_time_is_the_anchor_plus_the_monotonic_difference() -> None:
     assert Anchor(1_000, 300).epoch_ns(350) == 1_050
     assert Anchor(10, 300).epoch_ns(200) == 0
+
+
+def test_a_refused_run_with_fewer_times_than_points_stands_in_the_log_as_far_as_it_goes() -> None:
+    away = JointTrajectory(0.1, ((0.0,) * 6,) * 3, times_s=(0.0, 0.1))
+    record = replace(RECORDS[0], inputs=replace(RECORDS[0].inputs, commands=(Run(1, away),)))
+    [told] = [value for topic, value in tick_messages(record) if topic == channels.JOINT_TRAJECTORY]
+    assert len(told["points"]) == 2
