@@ -1,9 +1,10 @@
 """Jogging: the arm moves as long as somebody says so.
 
 Rules.
-1. Each heartbeat says how fast; `HEARTBEAT_NS` after the last one the speed goes to zero within `STOP_S`, so that the
-   last goal is reached within two ticks of 100 ms. A heartbeat that was only late starts the arm again, from rest;
-   after `END_NS`, or a stop, the jog has ended and goes on only by a new beginning.
+1. Each heartbeat says how fast; `HEARTBEAT_NS` after the last one the speed goes to zero within `STOP_S`, a tick of
+   100 ms. Then the servos, which answer late, are called back to just behind where the joints are by now. A heartbeat
+   that was only late starts the arm again, from rest; after `END_NS`, or a stop, the jog has ended and goes on only by
+   a new beginning.
 2. No joint turns faster than `SPEED_RAD_S` or its own limit, no tool faster than its own limit; a velocity that is too
    high is scaled as a whole, so that its direction stays.
 3. A joint nears its limit no faster than it can still stop before it. A tool that is led along a line waits as a
@@ -18,18 +19,22 @@ from collections.abc import Sequence
 import numpy as np
 
 from armctl.config import ArmConfig
-from armctl.control.machine import Jogging, Phase, Trigger
+from armctl.control.machine import LATCHED, Jogging, Phase, Trigger
 from armctl.control.motion import aimed, set_off, share_of_step, trim
 from armctl.control.tick import Tick
 from armctl.errors import IllegalTransition, RequestRefused
 from armctl.kinematics.chain import jacobian
 from armctl.kinematics.robots.robot import Robot
-from armctl.messages import Event, Jog
+from armctl.messages import NS_PER_S, Event, Jog
 from armctl.trajectory.collision import floor_clearance, link_points
 
 HEARTBEAT_NS = 80_000_000
 STOP_S = 0.1
 END_NS = 500_000_000
+# So far behind a moving joint it is called back to [s of its way], within this part of a tick.
+BEHIND_S, AT_ONCE = 0.03, 0.25
+# For so many ticks after a goal joints may still be on the way to it.
+UNDER_WAY = 1.5
 SPEED_RAD_S = math.radians(20.0)
 ACCELERATION_RAD_S2 = math.radians(200.0)
 # Damping of the least squares that turn a tool velocity into joint velocities: (1 cm/rad)^2 keeps them finite.
@@ -71,12 +76,15 @@ def advance_jog(s: Tick, jog: Jogging) -> None:
     silent_ns = s.inputs.now_ns - jog.heard_ns
     if jog.stop_code or silent_ns > HEARTBEAT_NS:
         jog.rate = max(0.0, jog.rate - s.period_s / STOP_S)
-        if jog.rate < 1e-9 and (jog.stop_code or silent_ns > END_NS):
-            return s.finish_jog(jog.stop_code or "NO_HEARTBEAT")
-    if not s.fresh or jog.rate < 1e-9:
+    rests = jog.rate < 1e-9
+    if rests or not s.fresh:
         # While one is unheard, a goal would energise a servo that has just restarted. The arm waits, at rest.
+        if rests and s.fresh:
+            _call_back(s, jog)
         jog.velocity_rad_s = (0.0,) * len(jog.position_rad)
-        return None
+        return (
+            s.finish_jog(jog.stop_code or "NO_HEARTBEAT") if rests and (jog.stop_code or silent_ns > END_NS) else None
+        )
     J = _linear_jacobian(s.robot, jog.position_rad)
     velocity = _slower(s.arm, J, jog.joints_rad_s or _joint_velocities(J, jog.tool_m_s, len(jog.position_rad)))
     # All joints change speed in the same proportion, which keeps a tool on its line from the start.
@@ -105,6 +113,17 @@ def advance_jog(s: Tick, jog: Jogging) -> None:
     s.send_goal(goal)
     s.state.following = following
     return None
+
+
+def _call_back(s: Tick, jog: Jogging) -> None:
+    """End the way to the last goal, which is a tick ahead of joints that move."""
+    since_s = (s.inputs.now_ns - s.state.goal_ns) / NS_PER_S
+    if not any(jog.velocity_rad_s) or since_s > UNDER_WAY * s.period_s or s.state.phase in LATCHED:
+        return
+    behind = tuple([q - BEHIND_S * v for q, v in zip(jog.position_rad, jog.velocity_rad_s, strict=True)])
+    goal, s.state.following = aimed(s, behind, (0.0,) * len(behind))
+    jog.position_rad = behind
+    s.send_goal(goal, AT_ONCE)
 
 
 def joint_velocities(robot: Robot, q: Sequence[float], tool_m_s: Sequence[float]) -> list[float]:

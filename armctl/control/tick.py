@@ -354,10 +354,13 @@ class Tick:
         shown = self.status(index).goal
         return shown == self.state.goal[index] or any(goal[index] == shown for goal in self.state.sent)
 
-    def send_goal(self, ticks: Sequence[int]) -> None:
+    def send_goal(self, ticks: Sequence[int], within: float = 1.0) -> None:
         """Goal and speed for every servo, inside the limits; each arrives in one tick from where its ramp is by now.
 
         Those of second servos may be left out. None is sent to an arm that is let go: it would energise what is limp.
+
+        Args:
+            within: In such a part of a tick they arrive.
         """
         if self.state.letting_go is not None:
             return
@@ -370,7 +373,7 @@ class Tick:
                 beside = min(max(beside, last[i] - most), last[i] + most)
             goal.append(beside)
         self.ramp = self.ramps()
-        begin, tick_rad_s = self.ramp or goal, ax12a.TICK_RAD / self.period_s
+        begin, tick_rad_s = self.ramp or goal, ax12a.TICK_RAD / (within * self.period_s)
         limits = [joint.speed_limit_units for joint in self.wire]
         if self.state.ramp_restarts or self.arm.ramp_from_reference is False:
             # Each ramp is to be over soon: what a joint lags behind is asked of it anew with every goal.
