@@ -82,9 +82,9 @@ def advance_jog(s: Tick, jog: Jogging) -> None:
         if rests and s.fresh:
             _call_back(s, jog)
         jog.velocity_rad_s = (0.0,) * len(jog.position_rad)
-        return (
-            s.finish_jog(jog.stop_code or "NO_HEARTBEAT") if rests and (jog.stop_code or silent_ns > END_NS) else None
-        )
+        if rests and (jog.stop_code or silent_ns > END_NS):
+            s.finish_jog(jog.stop_code or "NO_HEARTBEAT")
+        return
     J = _linear_jacobian(s.robot, jog.position_rad)
     velocity = _slower(s.arm, J, jog.joints_rad_s or _joint_velocities(J, jog.tool_m_s, len(jog.position_rad)))
     # All joints change speed in the same proportion, which keeps a tool on its line from the start.
@@ -108,11 +108,10 @@ def advance_jog(s: Tick, jog: Jogging) -> None:
         goal, following = aimed(s, position, velocity)
     if share < 1.0 and share_of_step(s, goal) == 0.0:
         jog.velocity_rad_s = (0.0,) * len(velocity)
-        return None
+        return
     jog.position_rad, jog.velocity_rad_s = position, tuple(velocity)
     s.send_goal(goal)
     s.state.following = following
-    return None
 
 
 def _call_back(s: Tick, jog: Jogging) -> None:
