@@ -34,6 +34,9 @@ from armctl.web.set_up import SetUp
 from armctl.web.tokens import Tokens
 
 TOKEN_WAIT_S = 5.0
+# So long the answer of a heartbeat is kept, which comes at the begin of a tick: the next one, sent then, is young by
+# the next tick, and the arm of a page that is silent stops earlier.
+BEAT_KEPT_S = 0.05
 ErrorBody = {"description": "Refused: `error` holds `code`, `message` and `reasons`."}
 REFUSED = (400, 401, 403, 404, 405, 409, 413, 415, 421, 422, 503)
 REFUSALS: dict[int | str, dict[str, Any]] = dict.fromkeys(REFUSED, ErrorBody)
@@ -179,6 +182,7 @@ def _commands(daemon: Connections, set_up: SetUp) -> APIRouter:
         left = asyncio.create_task(_left(request))
         try:
             await asyncio.wait((beat, left), return_when=asyncio.FIRST_COMPLETED)
+            await asyncio.wait((left,), timeout=BEAT_KEPT_S)
             if not left.done():
                 return await beat
             beat.cancel()  # not sent yet, it would lead on after the stop

@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import json
+import socket
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,9 @@ from armctl.config import Config
 from armctl.errors import NoDaemon, RequestRefused
 from armctl.files import load_arm, stop_path
 from armctl.host.jsonrpc import error_line, notification_line, result_line
+from armctl.web import app as app_module
 from armctl.web import connections as module
+from armctl.web import server as server_module
 from armctl.web.app import create_app
 from armctl.web.connections import MAX_WAITING, Connections
 from armctl.web.guard import TOKEN_HEADER
@@ -28,6 +31,8 @@ class Stub:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        # What is not answered.
+        self.lasts = ["run", "jog"]
         # Which connection asked for what.
         self.asked: list[tuple[int, str]] = []
         self.left: list[int] = []
@@ -40,8 +45,8 @@ class Stub:
         while line := await reader.readline():
             request = json.loads(line)
             self._note(self.asked, (number, request["method"]))
-            if request["method"] in ("run", "jog"):
-                continue  # lasts until its client leaves
+            if request["method"] in self.lasts:
+                continue  # until its client leaves
             refused = error_line(request["id"], RequestRefused("BUSY", "no"))
             writer.write(refused if request["method"] == "park" else result_line(request["id"], {"state": "holding"}))
         self._note(self.left, number)
@@ -106,14 +111,19 @@ async def test_commands_share_one_connection_and_stop_takes_the_watchers(tmp_pat
         running.cancel()
 
 
-@pytest.mark.parametrize("at_once", [False, True])
-async def test_a_page_that_leaves_while_it_leads_the_tool_stops_the_arm(tmp_path: Path, at_once: bool) -> None:
+@pytest.mark.parametrize("leaves", ["at once", "unanswered", "answered"])
+async def test_a_page_that_leaves_while_it_leads_the_tool_stops_the_arm(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, leaves: str
+) -> None:
+    monkeypatch.setattr(app_module, "BEAT_KEPT_S", 60.0)
     said: list[Message] = [{"type": "http.request", "body": b'{"tool_m_s": [0.0, 0.0, 0.03], "begin": true}'}]
     stub = Stub(tmp_path / "daemon.sock")
+    stub.lasts = [] if leaves == "answered" else ["jog"]
 
     async def receive() -> Message:
-        if not said and not at_once:
-            await stub.until(lambda: "jog" in [method for _, method in stub.asked])  # and nobody has answered it
+        if not said and leaves != "at once":
+            await stub.until(lambda: "jog" in [method for _, method in stub.asked])
+            await asyncio.sleep(0.05)  # its answer has come, if there is one
         return said.pop() if said else {"type": "http.disconnect"}
 
     async def send(_: Message) -> None:
@@ -129,7 +139,7 @@ async def test_a_page_that_leaves_while_it_leads_the_tool_stops_the_arm(tmp_path
         await stub.until(lambda: stub.asked == [(0, "subscribe")])
         await guard(scope, receive, send)
     assert (0, "stop") in stub.asked
-    assert at_once or stub.asked[1:] == [(1, "jog"), (0, "stop")]
+    assert leaves == "at once" or stub.asked[1:] == [(1, "jog"), (0, "stop")]
 
 
 async def test_stop_goes_its_own_way_where_there_is_one(tmp_path: Path) -> None:
@@ -183,3 +193,10 @@ async def test_without_a_daemon_commands_and_stop_say_so_and_pages_see_nothing(t
         for work in (daemon.call("status"), daemon.stop()):
             with pytest.raises(NoDaemon, match="armctl daemon --port"):
                 await work
+
+
+def test_no_answer_waits_for_word_that_its_head_has_come() -> None:
+    with server_module._listening("127.0.0.1", 0) as listening, socket.create_connection(listening.getsockname()):
+        taken, _ = listening.accept()
+        with taken:
+            assert taken.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
