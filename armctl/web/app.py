@@ -7,8 +7,10 @@ elsewhere is ever parsed in the daemon.
 
 import asyncio
 import contextlib
+import time
 import tomllib
 from collections.abc import AsyncIterator, Callable, Mapping
+from dataclasses import dataclass
 from inspect import Parameter, Signature
 from pathlib import Path
 from typing import Annotated, Any
@@ -34,9 +36,10 @@ from armctl.web.set_up import SetUp
 from armctl.web.tokens import Tokens
 
 TOKEN_WAIT_S = 5.0
-# So long the answer of a heartbeat is kept, which comes at the begin of a tick: the next one, sent then, is young by
-# the next tick, and the arm of a page that is silent stops earlier.
-BEAT_KEPT_S = 0.05
+# The heartbeats of a page that leads the arm come at this part of a tick, of 0.1 s at most.
+BEAT_AT = 0.7
+# What is remembered of the longest way from an answer to the next heartbeat, each time.
+REMEMBERED = 0.9
 ErrorBody = {"description": "Refused: `error` holds `code`, `message` and `reasons`."}
 REFUSED = (400, 401, 403, 404, 405, 409, 413, 415, 421, 422, 503)
 REFUSALS: dict[int | str, dict[str, Any]] = dict.fromkeys(REFUSED, ErrorBody)
@@ -91,7 +94,7 @@ def create_app(
     )
     guard = Guard(app, tokens=Tokens(tokens_path(config_file), token), port=port, names=names)
     app.include_router(_live(daemon, guard))
-    for routes in (_commands(daemon, set_up), set_up.routes(), files.routes()):
+    for routes in (_commands(daemon, set_up, Beats(config.period_s)), set_up.routes(), files.routes()):
         app.include_router(routes, prefix="/api", responses=REFUSALS)
     app.include_router(pages())
     return app, guard
@@ -155,7 +158,26 @@ def _live(daemon: Connections, guard: Guard) -> APIRouter:
     return router
 
 
-def _commands(daemon: Connections, set_up: SetUp) -> APIRouter:
+@dataclass
+class Beats:
+    """When heartbeats are answered, so that the next one, which is sent then, comes late in the tick.
+
+    The arm goes on for a tick after the one that takes a heartbeat. A page that is silent from then on has been so for
+    the less time the younger it was. The way from an answer to the next heartbeat is as long as it was before.
+    """
+
+    period_s: float
+    answered_s: float = 0.0
+    way_s: float = 0.03
+
+    def kept_s(self, now_s: float, begin: bool) -> float:
+        """How long to keep the answer of the heartbeat that has just come."""
+        if not begin:
+            self.way_s = max(REMEMBERED * self.way_s, now_s - self.answered_s)
+        return max(0.0, BEAT_AT * min(self.period_s, 0.1) - self.way_s)
+
+
+def _commands(daemon: Connections, set_up: SetUp, beats: Beats) -> APIRouter:
     router = APIRouter()
     for route, told in COMMANDS.items():
         (verb, path), method = route.split(), told["method"]
@@ -178,11 +200,13 @@ def _commands(daemon: Connections, set_up: SetUp) -> APIRouter:
     @router.post("/jog")
     async def jog(request: Request, body: JogBeat) -> dict[str, Any]:
         """Lead the joints or the tool until the next heartbeat, which is due with the answer; who leaves stops them."""
+        kept_s = beats.kept_s(time.monotonic(), body.begin)
         beat = asyncio.create_task(daemon.call("jog", **body.model_dump()))
         left = asyncio.create_task(_left(request))
         try:
             await asyncio.wait((beat, left), return_when=asyncio.FIRST_COMPLETED)
-            await asyncio.wait((left,), timeout=BEAT_KEPT_S)
+            await asyncio.wait((left,), timeout=kept_s)
+            beats.answered_s = time.monotonic()
             if not left.done():
                 return await beat
             beat.cancel()  # not sent yet, it would lead on after the stop

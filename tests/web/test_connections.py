@@ -15,10 +15,9 @@ from armctl.config import Config
 from armctl.errors import NoDaemon, RequestRefused
 from armctl.files import load_arm, stop_path
 from armctl.host.jsonrpc import error_line, notification_line, result_line
-from armctl.web import app as app_module
 from armctl.web import connections as module
 from armctl.web import server as server_module
-from armctl.web.app import create_app
+from armctl.web.app import Beats, create_app
 from armctl.web.connections import MAX_WAITING, Connections
 from armctl.web.guard import TOKEN_HEADER
 from tests.web.asking import TOKEN
@@ -115,7 +114,7 @@ async def test_commands_share_one_connection_and_stop_takes_the_watchers(tmp_pat
 async def test_a_page_that_leaves_while_it_leads_the_tool_stops_the_arm(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, leaves: str
 ) -> None:
-    monkeypatch.setattr(app_module, "BEAT_KEPT_S", 60.0)
+    monkeypatch.setattr(Beats, "kept_s", lambda *_: 60.0)
     said: list[Message] = [{"type": "http.request", "body": b'{"tool_m_s": [0.0, 0.0, 0.03], "begin": true}'}]
     stub = Stub(tmp_path / "daemon.sock")
     stub.lasts = [] if leaves == "answered" else ["jog"]
@@ -200,3 +199,15 @@ def test_no_answer_waits_for_word_that_its_head_has_come() -> None:
         taken, _ = listening.accept()
         with taken:
             assert taken.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+
+
+def test_heartbeats_come_late_in_the_tick_however_long_their_way_is() -> None:
+    for way_s in (0.003, 0.02, 0.05, 0.09):
+        beats, tick_s = Beats(0.1), 0.0
+        kept_s = beats.kept_s(tick_s - 0.01, begin=True)
+        for _ in range(20):
+            beats.answered_s = tick_s + kept_s
+            came_s = beats.answered_s + way_s
+            kept_s = beats.kept_s(came_s, begin=False)
+            tick_s += 0.1
+        assert came_s - (tick_s - 0.1) == pytest.approx(max(way_s, 0.07), abs=0.002)
