@@ -13,7 +13,8 @@ the arm for its zeros, and the largest distances are told.
 STOP counts from the click's own time stamp to the last byte of the answer, by the browser's one clock. The browser runs
 on the very processors that the load fills, so it has precedence over the load: what is looked at is the server's time.
 
-A connection is closed with a word of the page under way; silence begins once the word before was answered.
+A connection is lost at any instant between a word of the page and its answer, upon which the next would be sent: it is
+closed, or silent from then on.
 """
 
 import contextlib
@@ -51,11 +52,15 @@ WAYS = ("silent", "closed")
 STOPPED_S = 0.2
 # Of both ways together.
 CUTS = 400
-# A tool that goes less far than that in 50 ms stands (4 mm/s); it was led at 30 mm/s.
-STANDS_M = 0.0002
+# A tool that is slower stands, by the way of so many samples of 10 ms; it was led faster.
+STANDS_M_S, SAMPLES = 0.004, 2
 LED_M_S = 0.03
-# Where it is led up and down from, and comes back to after so many cuts: no joint is near a limit there.
-MIDDLE_M, ASTRAY = (0.18, 0.0, 0.15), 20
+# Less far it was not led.
+LEAST_WAY_M = 0.0002
+# Between a word and the answer [s].
+BETWEEN_S = 0.1
+# The joints [deg] from which it is led up and down, and to which it comes back after so many cuts: none is near a limit.
+MIDDLE_DEG, ASTRAY = (0.0, 87.0, -65.0, -64.0, -33.0, 0.0), 20
 # Arms, the line that each can reach [m], and by what it is driven.
 JOURNEYS = tuple(
     (arm, line, size)
@@ -228,11 +233,14 @@ def cut_off(seed: int, count: int, tell: Callable[[str], None] = lambda _: None)
         hold(client, 20.0)
         for number in range(count):
             if number % ASTRAY == 0:  # or it would some time be led against the end of its way, which stops it as well
-                client.call("move", point_m=MIDDLE_M)
+                client.call("move", joints_rad=[math.radians(angle) for angle in MIDDLE_DEG])
             way, side = WAYS[number % 2], 1.0 if number % 4 < 2 else -1.0
             begin_ns = time.monotonic_ns()
             with contextlib.closing(http.client.HTTPConnection("127.0.0.1", running.port, timeout=20.0)) as connection:
-                cut_ns = _led(connection, running.token, way, side * LED_M_S, float(rng.uniform(0.4, 1.0)))
+                cut_ns = _led(connection, running.token, side * LED_M_S, rng)
+                if way == "closed":  # at once, and with a reset
+                    connection.sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+                    connection.close()
                 time.sleep(1.0)
             truth = simulator.truth(begin_ns, time.monotonic_ns())
             rows.append({"way": way, **stood(truth.time_ns, truth.tool_m, cut_ns)})
@@ -241,33 +249,29 @@ def cut_off(seed: int, count: int, tell: Callable[[str], None] = lambda _: None)
     return rows
 
 
-def _led(connection: http.client.HTTPConnection, token: str, way: str, speed_m_s: float, seconds: float) -> int:
-    """Lead the tool as a page does, and lose the connection; when [ns]."""
+def _led(connection: http.client.HTTPConnection, token: str, speed_m_s: float, rng: np.random.Generator) -> int:
+    """Lead the tool as a page does, until an instant between a word and its answer; when that was [ns]."""
     headers = {"X-Armctl-Token": token, "Content-Type": "application/json"}
-    begin_s, begun = time.monotonic(), False
-    while time.monotonic() - begin_s < seconds:
+    begin_s, seconds, begun = time.monotonic(), float(rng.uniform(0.4, 1.0)), False
+    while True:
         body = json.dumps({"tool_m_s": [0.0, 0.0, speed_m_s], "begin": not begun})
         connection.request("POST", "/api/jog", body, headers)
-        if way == "closed" and time.monotonic() - begin_s > seconds - 0.1:
-            break  # in the middle of a request
+        if time.monotonic() - begin_s > seconds:
+            time.sleep(float(rng.uniform(0.0, BETWEEN_S)))
+            return time.monotonic_ns()
         answer = connection.getresponse()
         told = answer.read()
         if answer.status != 200:
             raise ArmctlError(f"the tool is not led: {told.decode()}")
         begun = True
-    cut_ns = time.monotonic_ns()
-    if way == "closed":  # at once, and with a reset
-        connection.sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-        connection.close()
-    return cut_ns
 
 
 def stood(time_ns: np.ndarray, tool_m: np.ndarray, cut_ns: int) -> dict[str, float]:
     """How long after an instant the tool went on [s], and how far it had gone until then [m]."""
-    steps_m = np.linalg.norm(tool_m[5:] - tool_m[:-5], axis=1)
-    moving = np.flatnonzero(steps_m > STANDS_M)
+    steps_m = np.linalg.norm(tool_m[SAMPLES:] - tool_m[:-SAMPLES], axis=1)
+    moving = np.flatnonzero(steps_m > STANDS_M_S * (time_ns[SAMPLES:] - time_ns[:-SAMPLES]) / 1e9)
     went_m = float(np.linalg.norm(tool_m[np.searchsorted(time_ns, cut_ns) - 1] - tool_m[0]))
-    last_ns = int(time_ns[moving[-1] + 5]) if len(moving) else cut_ns
+    last_ns = int(time_ns[moving[-1] + SAMPLES]) if len(moving) else cut_ns
     return {"stopped_s": round(max(0.0, (last_ns - cut_ns) / 1e9), 3), "went_m": round(went_m, 4)}
 
 
@@ -338,6 +342,6 @@ def judged(rows: list[dict[str, Any]], lost: list[dict[str, Any]], clicked: dict
     for number, row in enumerate(lost):
         if not row["stopped_s"] <= STOPPED_S:
             found.append(f"cut {number} ({row['way']}): moved for {row['stopped_s']} s, bound {STOPPED_S}")
-        if not row["went_m"] > STANDS_M:
+        if not row["went_m"] > LEAST_WAY_M:
             found.append(f"cut {number} ({row['way']}): it did not move before")
     return found
