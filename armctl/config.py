@@ -9,7 +9,7 @@ the files, because people write them, and radians in every property the code rea
 import hashlib
 import math
 from functools import cached_property
-from typing import Annotated, Any, Literal, NamedTuple, Self
+from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
@@ -68,8 +68,7 @@ class JointConfig(Frozen):
     # A second servo that turns this joint.
     pair: PairConfig | None = Field(None, exclude_if=is_none)
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
+    def _check(self) -> None:
         if self.model not in servos.MODELS:
             raise ValueError(f"model {self.model!r}: no such servo; known: {', '.join(servos.MODELS)}")
         low, high = self.limits_deg
@@ -89,7 +88,6 @@ class JointConfig(Frozen):
         if self.pair is not None and self.pair.servo_id == self.servo_id:
             own = f"pair.servo_id {self.servo_id} is that of the first servo"
             raise ValueError(f"{own}; give each servo an id of its own")
-        return self
 
     def tick(self, position_rad: float) -> float:
         """Servo position [tick, unrounded] of a joint position [rad]."""
@@ -218,8 +216,7 @@ class ArmConfig(Frozen):
                 return told | {"joints": [*joints, joint], "gripper": gripper}
         return told
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
+    def _check(self) -> None:
         rows, names = 0 if isinstance(self.robot, str) else len(self.robot.dh), self.joint_names
         if rows > len(names):
             raise ValueError(f"robot has {rows} joints, but joints has {len(names)}; give one entry each")
@@ -235,7 +232,6 @@ class ArmConfig(Frozen):
             if servo.servo_id in self.servo_ids[:index]:
                 both = f"{self.servos[self.servo_ids.index(servo.servo_id)].name} and the pair of {servo.name}"
                 raise ValueError(f"{both} have servo_id {servo.servo_id}; give each servo an id of its own")
-        return self
 
     def _check_gripper(self, gripper: GripperConfig, rows: int) -> None:
         if gripper.joint in self.joint_names[:rows]:

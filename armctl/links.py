@@ -1,8 +1,8 @@
 """The links of an arm as a table of its file."""
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field
 
 from armctl.strict_yaml import Degrees, Frozen
 
@@ -50,11 +50,9 @@ class ChainTable(Frozen):
     # The URDF that the table was made of; the table counts.
     urdf: str = ""
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
+    def _check(self) -> None:
         for number, row in enumerate(self.dh, start=1):
             if self.convention == "standard" and (row.b_m or row.beta_deg):
                 raise ValueError(f"dh row {number} has b_m or beta_deg, which are for `convention: modified`")
         if not any((*self.tool_m, *(length for row in self.dh for length in (row.a_m, row.b_m, row.d_m)))):
             raise ValueError("every length of the table is 0 m; give a_m, d_m or tool_m in metres")
-        return self

@@ -6,9 +6,9 @@ two stiff servos then push against each other for good. So a pair may have a mea
 """
 
 from bisect import bisect_right
-from typing import Annotated, Literal, NamedTuple, Self
+from typing import Annotated, Literal, NamedTuple
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from armctl.dynamixel.ax12a import TICK_MAX
 from armctl.strict_yaml import Frozen, is_none
@@ -70,10 +70,9 @@ class PairConfig(Frozen):
     # reads there.
     table: tuple[Row, ...] | None = Field(None, min_length=2, max_length=64, strict=False, exclude_if=is_none)
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
+    def _check(self) -> None:
         if self.table is None:
-            return self
+            return
         if self.direction is not None or self.zero_tick is not None:
             raise ValueError("pair has a table, which says all of direction and zero_tick; leave these two out")
         for number, row in enumerate(self.table, start=1):
@@ -92,7 +91,6 @@ class PairConfig(Frozen):
             if not LEAST_SHARE <= share <= 1.0 / LEAST_SHARE:
                 ways = f"by {abs(b_end - b):g} ticks where the first one turns by {a_end - a:g}"
                 raise ValueError(f"pair.table row {number}: the second servo turns {ways}, on one shaft; {again}")
-        return self
 
     def linked(self, direction: int, zero_tick: float) -> Linkage:
         """How it reads against the first servo, which has this direction and zero tick."""

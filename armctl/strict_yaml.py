@@ -6,10 +6,10 @@ is read without its surprises: no aliases, tags or duplicate keys, no `.nan`, no
 """
 
 import re
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Self, TypeVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from armctl.errors import ConfigError
 
@@ -27,6 +27,14 @@ class Frozen(BaseModel):
     """What comes from outside: checked as a whole, nothing converted, nothing unknown, and never changed after."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+    @model_validator(mode="after")
+    def _checked(self) -> Self:
+        self._check()
+        return self
+
+    def _check(self) -> None:
+        """Refuse, by a ValueError, values that do not fit together."""
 
 
 def is_none(value: object) -> bool:

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import yaml
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from armctl.commissioning.scan import scan
 from armctl.config import Frozen, parse_yaml, validate
@@ -45,8 +45,7 @@ class ServoEeprom(Frozen):
     servo_id: int = Field(ge=0, le=ax12a.ID.maximum)
     registers: dict[str, int]
 
-    @model_validator(mode="after")
-    def _check(self) -> "ServoEeprom":
+    def _check(self) -> None:
         for name, value in self.registers.items():
             register = BY_NAME.get(name)
             if register is None:
@@ -55,7 +54,6 @@ class ServoEeprom(Frozen):
                 raise ValueError(f"{name} {value} is outside {register.minimum}..{register.maximum}")
         if self.registers.get(ax12a.ID.name, self.servo_id) != self.servo_id:
             raise ValueError(f"registers.id {self.registers[ax12a.ID.name]} is not servo_id {self.servo_id}")
-        return self
 
 
 class Snapshot(Frozen):
@@ -63,12 +61,10 @@ class Snapshot(Frozen):
 
     servos: tuple[ServoEeprom, ...] = Field(min_length=1, strict=False)
 
-    @model_validator(mode="after")
-    def _check(self) -> "Snapshot":
+    def _check(self) -> None:
         ids = [servo.servo_id for servo in self.servos]
         if twice := [servo_id for servo_id in ids if ids.count(servo_id) > 1]:
             raise ValueError(f"servo_id {twice[0]} stands here twice")
-        return self
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Annotated, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from armctl.commissioning.arm_file import write
 from armctl.config import ArmConfig, Config, Frozen, Name, validate
@@ -52,12 +52,10 @@ class SagFile(Frozen):
     # When, as ISO 8601; empty: nobody noted it.
     made: str = Field("", max_length=40)
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
+    def _check(self) -> None:
         n = len(self.gravity_rad_m)
         if any(len(row) != n for row in (*self.gravity_rad_m, *attrgetter(*COLUMNS)(self), self.residual_tick)):
             raise ValueError(f"every row must have {n} numbers, one a joint")
-        return self
 
 
 def path_of(config: Config) -> Path:

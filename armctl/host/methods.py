@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -69,11 +69,9 @@ class Show(Named):
     from_m: Point | None = None
     to_m: Point | None = None
 
-    @model_validator(mode="after")
-    def _both_ends(self) -> Self:
+    def _check(self) -> None:
         if (self.from_m is None) != (self.to_m is None):
             raise ValueError("from_m, to_m: a line has both ends; give both or neither")
-        return self
 
 
 class KeptPlan(Frozen):

@@ -23,10 +23,10 @@ import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
-from pydantic import Field, TypeAdapter, model_validator
+from pydantic import Field, TypeAdapter
 
 from armctl.config import Frozen, parse_yaml, validate
 from armctl.errors import ConfigError
@@ -74,8 +74,7 @@ class Fault(Frozen):
     duration_s: float | None = Field(None, gt=0.0)
     value: float | None = None
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
+    def _check(self) -> None:
         kind = _KINDS.get(self.kind)
         if kind is None:
             raise ValueError(f"kind {self.kind!r} is unknown; known: {', '.join(KINDS)}")
@@ -92,7 +91,6 @@ class Fault(Frozen):
             if not wanted.low <= self.value <= wanted.high or (wanted.whole and self.value % 1):
                 bounds = f"{'a whole number ' if wanted.whole else ''}in {wanted.low:g}..{wanted.high:g}"
                 raise ValueError(f"value {self.value:g} of {self.kind} ({wanted.what}) must be {bounds}")
-        return self
 
 
 class _Script(Frozen):

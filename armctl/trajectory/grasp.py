@@ -11,10 +11,10 @@ Rules.
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Literal, Self
+from typing import Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from armctl.config import ArmConfig, Frozen, GripperConfig
 from armctl.errors import RequestRefused, UnreachableTarget
@@ -66,11 +66,9 @@ class ReachRequest(Frozen):
     # Which posture at the point, of those whose whole way may be gone, the best first; None: the first.
     posture: int | None = Field(None, ge=1, le=MOST_POSTURES)
 
-    @model_validator(mode="after")
-    def _no_lots(self) -> Self:
+    def _check(self) -> None:
         if self.direction is not None and self.ik.startswith("ga"):
             raise ValueError(f"direction: the method {self.ik} takes none; give closed or numeric")
-        return self
 
 
 class GripRequest(Frozen):

@@ -11,10 +11,10 @@ import math
 from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import pairwise
-from typing import Annotated, Any, Self
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from armctl.config import ArmConfig, Frozen, Name, validate
 from armctl.errors import ConfigError
@@ -68,8 +68,7 @@ class Plan(Frozen):
     predicted_max_error_mm: float = Field(ge=0.0)
     seed: int = Field(ge=0)
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
+    def _check(self) -> None:
         if len(self.waypoints_rad) != self.via + 2:
             raise ValueError(f"waypoints_rad has {len(self.waypoints_rad)} rows; via {self.via} needs {self.via + 2}")
         widths = {len(row) for row in self.waypoints_rad}
@@ -80,7 +79,6 @@ class Plan(Frozen):
             raise ValueError(f"waypoint_progress must be {self.via + 2} numbers from 0 to 1")
         if any(after <= before for before, after in pairwise(progress)):
             raise ValueError("waypoint_progress must increase strictly")
-        return self
 
 
 def plan_through(

@@ -18,10 +18,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Annotated, Self
+from typing import Annotated
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from armctl.config import ArmConfig, Frozen, Name, validate
 from armctl.dynamixel.ax12a import TICK_RAD
@@ -63,8 +63,7 @@ class TaughtMotion(Frozen):
     arm_id: str = Field("", max_length=64)
     calibration_hash: str = Field("", max_length=64)
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
+    def _check(self) -> None:
         if len(set(self.joints)) != len(self.joints):
             raise ValueError(f"joints: {', '.join(self.joints)}; each may stand there once")
         if len(self.time_s) != len(self.positions_rad):
@@ -77,7 +76,6 @@ class TaughtMotion(Frozen):
                 raise ValueError(f"time_s: {both}; it must rise")
         if not SHORTEST_S <= self.duration_s <= LONGEST_S:
             raise ValueError(f"time_s: {self.duration_s:g} s long; {SHORTEST_S:g} to {LONGEST_S:g} s can be played")
-        return self
 
     @property
     def duration_s(self) -> float:
@@ -93,11 +91,9 @@ class PlayRequest(Frozen):
     rate: float = Field(1.0, ge=LOWEST_RATE, le=HIGHEST_RATE)
     repeat: int = Field(1, ge=1, le=MOST_REPEATS)
 
-    @model_validator(mode="after")
-    def _one(self) -> Self:
+    def _check(self) -> None:
         if (self.name is None) == (self.motion is None):
             raise ValueError("name, motion: give just one of them")
-        return self
 
 
 def motion_from_text(text: str, file: str) -> TaughtMotion:

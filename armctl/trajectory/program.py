@@ -11,9 +11,9 @@ Rules.
 
 import re
 from dataclasses import dataclass
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from armctl.config import Frozen, Name, parse_yaml, validate
 from armctl.errors import ConfigError, RequestRefused
@@ -78,11 +78,9 @@ class Step(Frozen):
         inside = sum(step.count for step in self.inner)
         return self.repeat.times * inside if self.repeat else inside + 1
 
-    @model_validator(mode="after")
-    def _one_kind(self) -> Self:
+    def _check(self) -> None:
         if len(self.kinds) != 1:
             raise ValueError(f"give just one of {', '.join(KINDS)} (found {', '.join(self.kinds) or 'none'})")
-        return self
 
 
 KINDS = tuple(name for name in Step.model_fields if name != "name")
@@ -94,14 +92,12 @@ class Program(Frozen):
     name: Name
     steps: Steps
 
-    @model_validator(mode="after")
-    def _bounded(self) -> Self:
+    def _check(self) -> None:
         if not 1 <= (count := sum(step.count for step in self.steps)) <= MOST_STEPS:
             raise ValueError(f"steps: {count} with every repeat, 1 to {MOST_STEPS} can be done; repeat less often")
         names = [one.at for one in written_out(self) if one.at]
         if twice := {name for name in names if names.count(name) > 1}:
             raise ValueError(f"steps: name {min(twice)!r} stands twice; a step is found by its name")
-        return self
 
 
 class ProgramRequest(Program):

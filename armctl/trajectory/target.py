@@ -6,10 +6,10 @@ the solutions are sorted by how far their farthest joint travels.
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from typing import Self, TypeVar
+from typing import TypeVar
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from armctl.config import ArmConfig, Frozen
 from armctl.errors import RequestRefused
@@ -45,13 +45,11 @@ class MoveRequest(Frozen):
     # Which posture of those that may be gone to, the nearest first; None: the nearest.
     posture: int | None = Field(None, ge=1, le=MOST_POSTURES)
 
-    @model_validator(mode="after")
-    def _one_target(self) -> Self:
+    def _check(self) -> None:
         if sum(target is not None for target in (self.joints_rad, self.point_m, self.pose)) != 1:
             raise ValueError("joints_rad, point_m, pose: give just one of them")
         if self.direction is not None and self.point_m is None:
             raise ValueError("direction: it goes with point_m alone; a pose has its own")
-        return self
 
 
 def postures_at(

@@ -16,10 +16,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from armctl.config import Frozen, validate
 from armctl.errors import ConfigError
@@ -53,8 +53,7 @@ class PathRequest(Frozen):
     # How far a corner may be cut.
     tolerance_mm: float = Field(2.0, ge=0.1, le=50.0)
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
+    def _check(self) -> None:
         kinds = self.kinds or ("line",) * len(self.points_m)
         if len(kinds) != len(self.points_m):
             raise ValueError(f"kinds: {len(kinds)} for {len(self.points_m)} points; give one for each, or none")
@@ -69,7 +68,6 @@ class PathRequest(Frozen):
             if math.dist(before, after) < SAME_M:
                 raise ValueError(f"points_m: point {number} repeats point {number - 1}; leave it out")
         Outline(self)
-        return self
 
 
 def path_from_text(text: str, file: str, **more: Any) -> PathRequest:
