@@ -23,7 +23,7 @@ from armctl.kinematics.chain import jacobian
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import Command, Mode, Park, Run, TorqueOn, Write
-from armctl.trajectory.approach import approach_trajectory
+from armctl.trajectory.approach import DrivenArm, approach_trajectory
 from armctl.trajectory.preflight import preflight_motion
 
 # How far it turns (8.8 deg), and what stays free between its goal and a limit (4.4 deg).
@@ -124,7 +124,8 @@ def first_motion(bus: ServoBus, arm: ArmConfig, period_s: float) -> None:
     Raises:
         RequestRefused: pre-flight, a fault, or the arm does not do it in time; it then holds where it is.
     """
-    loop = ControlLoop(bus, bus.port.clock, arm, robot := robots.of(arm), period_s)
+    on = DrivenArm(arm, robots.of(arm), period_s)
+    loop = ControlLoop(bus, bus.port.clock, arm, on.robot, period_s)
     # Three ticks see whether it stands still. It may hold already, where a motion was broken off.
     if [loop.tick(()).outputs.mode for _ in range(3)][-1] is not Mode.HOLDING:
         _carry_out(loop, TorqueOn(1), period_s)
@@ -132,8 +133,8 @@ def first_motion(bus: ServoBus, arm: ArmConfig, period_s: float) -> None:
     to_middle = [sum(joint.limits_rad) / 2.0 for joint in arm.joints] - np.array(here)
     away = (here + np.clip(to_middle, -FIRST_RAD, FIRST_RAD)).tolist()
     for number, (start, end) in enumerate(((here, away), (away, here)), start=2):
-        way = approach_trajectory(start, end, arm, robot, period_s, "first motion")
-        if reasons := preflight_motion(np.array(way.positions_rad), period_s, arm, robot):
+        way = approach_trajectory(start, end, on, "first motion")
+        if reasons := preflight_motion(np.array(way.positions_rad), period_s, arm, on.robot):
             raise RequestRefused("PREFLIGHT", reasons)
         _carry_out(loop, Run(number, way), period_s)
     _carry_out(loop, Park(4), period_s)

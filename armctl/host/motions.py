@@ -17,7 +17,7 @@ from armctl.kinematics.chain import tool_position
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import pose_from_xyz_rpy
 from armctl.messages import JointTrajectory
-from armctl.trajectory.approach import approach_trajectory
+from armctl.trajectory.approach import Driven, approach_trajectory
 from armctl.trajectory.path_motion import PathMotion, path_motion
 from armctl.trajectory.plan import Plan, joint_trajectory, preflight
 from armctl.trajectory.playback import PlayRequest, TaughtMotion, playback
@@ -67,7 +67,7 @@ async def path(host: Host, client: Client, request: PathRequest) -> dict[str, An
     wanted: list[PathMotion] = []
 
     def make(q_now: Sequence[float]) -> JointTrajectory:
-        wanted.append(path_motion(request, q_now, host.arm, host.robot, host.period_s))
+        wanted.append(path_motion(request, q_now, host))
         return wanted[0].trajectory
 
     name, [done] = await host.execute(client, "path", [make], {"event": "PATH", **request.model_dump()})
@@ -98,8 +98,7 @@ async def move(host: Host, client: Client, request: MoveRequest) -> dict[str, An
         RequestRefused: UNREACHABLE, pre-flight (every reason), BUSY, stopped or failed on the way.
         LogError: the recording cannot be made.
     """
-    where = host.arm, host.robot, host.period_s
-    name, [done] = await host.execute(client, "move", [lambda q_now: move_trajectory(request, q_now, *where)])
+    name, [done] = await host.execute(client, "move", [lambda q_now: move_trajectory(request, q_now, host)])
     return {"recording": name, **move_result(done, host.robot)}
 
 
@@ -110,16 +109,14 @@ async def transfer(host: Host, client: Client, request: TransferRequest) -> dict
         RequestRefused: UNREACHABLE, pre-flight (every reason), BUSY, stopped or failed on the way.
         LogError: the recording cannot be made.
     """
-    where, note = (host.arm, host.robot, host.period_s), {"event": NOTED, "cycle": request.model_dump()}
-    legs: list[Leg] = [lambda q_now: transfer_trajectory(request, q_now, *where)]
+    note = {"event": NOTED, "cycle": request.model_dump()}
+    legs: list[Leg] = [lambda q_now: transfer_trajectory(request, q_now, host)]
     name, [done] = await host.execute(client, "transfer", legs, note)
     cycle_s = done.trajectory.end_s - done.trajectory.begin_s
     return {"recording": name, **move_result(done, host.robot), "cycle_s": cycle_s}
 
 
-def move_trajectory(
-    request: MoveRequest, q_now: Sequence[float], arm: ArmConfig, robot: Robot, period_s: float
-) -> JointTrajectory:
+def move_trajectory(request: MoveRequest, q_now: Sequence[float], on: Driven) -> JointTrajectory:
     """The way to a target: all joints start and arrive at once, slowly unless a duration is given.
 
     Of the postures that reach it the nearest is taken whose whole motion may be gone, or the one that was asked for.
@@ -132,21 +129,21 @@ def move_trajectory(
     try:
         if request.point_m is not None:
             to = aimed(request.point_m, request.direction)
-            goals = postures_at(to.T, q_now, arm, robot, turned=to.turned, direction=to.direction)
+            goals = postures_at(to.T, q_now, on, turned=to.turned, direction=to.direction)
         elif request.pose is not None:
-            goals = postures_at(pose_from_xyz_rpy(*request.pose), q_now, arm, robot)
+            goals = postures_at(pose_from_xyz_rpy(*request.pose), q_now, on)
         else:
             goals = [list(request.joints_rad or ())]
     except UnreachableTarget as error:
         raise RequestRefused("UNREACHABLE", str(error)) from None
-    if len(goals[0]) != len(arm.joints):
-        raise RequestRefused("LIMIT", f"{len(goals[0])} joint positions for {len(arm.joints)} joints")
+    if len(goals[0]) != len(on.arm.joints):
+        raise RequestRefused("LIMIT", f"{len(goals[0])} joint positions for {len(on.arm.joints)} joints")
 
     def way(goal: Sequence[float]) -> JointTrajectory:
-        trajectory = approach_trajectory(q_now, goal, arm, robot, period_s, "move", request.duration_s)
+        trajectory = approach_trajectory(q_now, goal, on, "move", request.duration_s)
         positions = np.array(trajectory.positions_rad)
-        if reasons := preflight_motion(positions, period_s, arm, robot, start_rad=q_now):
-            raise RequestRefused("PREFLIGHT" if within_limits(goal, arm) else "LIMIT", reasons)
+        if reasons := preflight_motion(positions, on.period_s, on.arm, on.robot, start_rad=q_now):
+            raise RequestRefused("PREFLIGHT" if within_limits(goal, on.arm) else "LIMIT", reasons)
         return trajectory
 
     return way_by(goals, way, request.posture)

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from armctl.config import ArmConfig, Frozen, parse_yaml, validate
+from armctl.config import Frozen, parse_yaml, validate
 from armctl.errors import ArmctlError, ConfigError, RequestRefused
 from armctl.files import read_text
 from armctl.host.host import Host
@@ -28,10 +28,10 @@ from armctl.host.lease import Client, Lease
 from armctl.host.motions import move_trajectory
 from armctl.host.reach import gripped
 from armctl.host.watch import Leg, run_name
-from armctl.kinematics.robots.robot import Robot
 from armctl.recording import recordings
 from armctl.recording.disk import put
 from armctl.trajectory import grasp
+from armctl.trajectory.approach import DrivenArm
 from armctl.trajectory.path_motion import path_motion
 from armctl.trajectory.playback import playback
 from armctl.trajectory.program import Instruction, Program, ProgramRequest, Step, place_of, written_out
@@ -56,13 +56,10 @@ class Standing(Frozen):
     gripped: bool
 
 
-@dataclass(frozen=True)
-class Site:
+@dataclass
+class Site(DrivenArm):
     """The arm that programs are for, and the folder of its recordings, beside which it is kept where programs stand."""
 
-    arm: ArmConfig
-    robot: Robot
-    period_s: float
     recordings_dir: Path
 
     def legs(self, step: Step) -> list[Leg]:
@@ -71,24 +68,23 @@ class Site:
         Raises:
             ArmctlError: there is no such recording, it cannot be played, or the arm has no gripper.
         """
-        where = self.arm, self.robot, self.period_s
         if (move := step.move) is not None:
-            return [lambda q_now: move_trajectory(self._gripper_stays(move, q_now), q_now, *where)]
+            return [lambda q_now: move_trajectory(self._gripper_stays(move, q_now), q_now, self)]
         if (path := step.path) is not None:
-            return [lambda q_now: path_motion(path, q_now, *where).trajectory]
+            return [lambda q_now: path_motion(path, q_now, self).trajectory]
         if (play := step.play) is not None:
             if (motion := play.motion) is None:
                 motion = recordings.taught(recordings.load(recordings.find(self.recordings_dir, play.name or "")))
             played = playback(motion, play.rate, self.arm, self.robot)
             return [lambda q_now: played.trajectory(q_now, self.period_s)] * play.repeat
         if step.grip or step.if_gripped:
-            grasp.gripper_of(self.arm, self.robot)
-        return [lambda q_now: grasp.gripping(q_now, *where, closing=step.grip == "close")] if step.grip else []
+            grasp.gripper_of(self)
+        return [lambda q_now: grasp.gripping(q_now, self, closing=step.grip == "close")] if step.grip else []
 
     def _gripper_stays(self, move: MoveRequest, q_now: Sequence[float]) -> MoveRequest:
         if move.joints_rad is None or self.arm.gripper is None or len(move.joints_rad) != len(q_now):
             return move
-        index, _ = grasp.gripper_of(self.arm, self.robot)
+        index, _ = grasp.gripper_of(self)
         joints_rad = (*move.joints_rad[:index], q_now[index], *move.joints_rad[index + 1 :])
         return move.model_copy(update={"joints_rad": joints_rad})
 

@@ -37,7 +37,7 @@ async def reach(host: Host, client: Client, request: ReachRequest) -> dict[str, 
     }
     if request.gripper == "stay":
         return result
-    index, gripper = grasp.gripper_of(host.arm, host.robot)
+    index, gripper = grasp.gripper_of(host)
     now = host.status()["joints"][index]
     return {
         **result,
@@ -59,8 +59,8 @@ async def grip(host: Host, client: Client, request: GripRequest) -> dict[str, An
         RequestRefused: NO_GRIPPER, pre-flight (every reason), BUSY, stopped or failed on the way.
         LogError: the recording cannot be made.
     """
-    where, closing = (host.arm, host.robot, host.period_s), request.grip == "close"
-    name, done = await host.execute(client, "grip", [lambda q_now: grasp.gripping(q_now, *where, closing=closing)])
+    closing = request.grip == "close"
+    name, done = await host.execute(client, "grip", [lambda q_now: grasp.gripping(q_now, host, closing=closing)])
     return {"recording": name, **move_result(done[0], host.robot), "gripped": closing and gripped(host, done)}
 
 
@@ -72,22 +72,21 @@ def gripped(host: Host, done: Sequence[Done]) -> bool:
 def _legs(host: Host, request: ReachRequest) -> list[Leg]:
     """The legs of one reach; the first plans the way, before anything moves."""
     planned: list[FloatArray] = []
-    where = host.arm, host.robot, host.period_s
 
     def approach(q_now: Sequence[float]) -> JointTrajectory:
         if request.gripper != "stay":
-            grasp.gripper_of(host.arm, host.robot)
+            grasp.gripper_of(host)
         try:
-            planned.append(grasp.plan_grasp(request, q_now, *where))
+            planned.append(grasp.plan_grasp(request, q_now, host))
         except UnreachableTarget as error:
             raise RequestRefused("UNREACHABLE", str(error)) from None
-        return grasp.approach(planned[0], q_now, *where, opening=request.gripper == "grip")
+        return grasp.approach(planned[0], q_now, host, opening=request.gripper == "grip")
 
     def straight(step: int) -> Leg:
-        return lambda q_now: grasp.straight(planned[0][::step], q_now, *where)
+        return lambda q_now: grasp.straight(planned[0][::step], q_now, host)
 
     def act(q_now: Sequence[float]) -> JointTrajectory:
-        return grasp.gripping(q_now, *where, closing=request.gripper == "grip")
+        return grasp.gripping(q_now, host, closing=request.gripper == "grip")
 
     there = [approach, straight(1)]
     return there if request.gripper == "stay" else [*there, act, straight(-1)]

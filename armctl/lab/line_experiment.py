@@ -115,7 +115,7 @@ def on_virtual_arm(arm: ArmConfig, asked: Asked, period_s: float, config: Config
         with suppress(UnreachableTarget):  # the hand cannot lead the arm along all of the line
             takes = guided_takes(rig, line, asked.seed, stage)
         rest_rad = [joint.rest_rad for joint in arm.joints]
-        back = approach_trajectory(rig.goals_rad, rest_rad, arm, rig.robot, period_s, "to rest")
+        back = approach_trajectory(rig.goals_rad, rest_rad, rig, "to rest")
         if preflight_motion(np.array(back.positions_rad), period_s, arm, rig.robot):
             rig = at_rest()
     found = _report(rig, line, asked, identified(rig, asked.rounds, asked.seed, stage), takes, stage)

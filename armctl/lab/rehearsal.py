@@ -99,7 +99,7 @@ def rehearse(
     if watch is not None:
         virtual.on_tick = partial(watch, virtual.simulated)
     virtual.energise()
-    approach = approach_trajectory(virtual.goals_rad, motion[0].tolist(), arm, virtual.robot, period_s, "approach")
+    approach = approach_trajectory(virtual.goals_rad, motion[0].tolist(), virtual, "approach")
     virtual.carry_out(Run(virtual.next_id(), approach))
     virtual.ticks(round(DWELL_S / period_s))  # it comes to rest
     records: list[TickRecord] = []

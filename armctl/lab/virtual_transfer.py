@@ -26,7 +26,7 @@ def record(arm: ArmConfig, cycle: TransferRequest, path: Path, *, seed: int = 0,
     virtual = VirtualArm(SimulatedArm(arm, seed=seed), period_s)
     records = virtual.energise(FIRST_TICKS)
     begin = len(records)
-    trajectory = transfer_trajectory(cycle, virtual.goals_rad, arm, virtual.robot, period_s)
+    trajectory = transfer_trajectory(cycle, virtual.goals_rad, virtual)
     records += virtual.carry_out(Run(virtual.next_id(), trajectory))
     records += virtual.ticks(TAIL_TICKS)
     note = json.dumps({"event": NOTED, "cycle": cycle.model_dump()})

@@ -6,6 +6,8 @@ follows from its peaks; a solver of time-optimal laws (toppra, ruckig) is of no 
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -18,6 +20,23 @@ from armctl.trajectory.interpolate import QUINTIC_PEAK_ACCELERATION, QUINTIC_PEA
 
 APPROACH_SPEED_RAD_S = math.radians(20.0)
 SHORTEST_APPROACH_S = 0.5
+
+
+class Driven(Protocol):
+    """An arm, and how often it gets a goal."""
+
+    arm: ArmConfig
+    robot: Robot
+    period_s: float
+
+
+@dataclass
+class DrivenArm:
+    """The same, and nothing else."""
+
+    arm: ArmConfig
+    robot: Robot
+    period_s: float
 
 
 def approach_duration_s(q0: FloatArray, q1: FloatArray, arm: ArmConfig, robot: Robot) -> float:
@@ -41,25 +60,19 @@ def approach_duration_s(q0: FloatArray, q1: FloatArray, arm: ArmConfig, robot: R
 
 
 def approach_trajectory(
-    q0: Sequence[float],
-    q1: Sequence[float],
-    arm: ArmConfig,
-    robot: Robot,
-    period_s: float,
-    label: str,
-    duration_s: float | None = None,
+    q0: Sequence[float], q1: Sequence[float], on: Driven, label: str, duration_s: float | None = None
 ) -> JointTrajectory:
-    """The slow motion from q0 to q1 [rad] on a grid of `period_s`; all joints arrive at once.
+    """The slow motion from q0 to q1 [rad] on the grid of the arm's period; all joints arrive at once.
 
     Args:
         duration_s: How long it takes; None: as `approach_duration_s` says.
     """
     start, end = np.asarray(q0, dtype=np.float64), np.asarray(q1, dtype=np.float64)
     if duration_s is None:
-        duration_s = approach_duration_s(start, end, arm, robot)
-    rows = max(1, math.ceil(duration_s / period_s - 1e-9))
+        duration_s = approach_duration_s(start, end, on.arm, on.robot)
+    rows = max(1, math.ceil(duration_s / on.period_s - 1e-9))
     positions = rest_to_rest(start, end, np.arange(rows + 1) / rows)
-    return JointTrajectory(period_s, tuple(map(tuple, positions.tolist())), label=label)
+    return JointTrajectory(on.period_s, tuple(map(tuple, positions.tolist())), label=label)
 
 
 def lowest_link_m(trajectory: JointTrajectory, robot: Robot) -> float:

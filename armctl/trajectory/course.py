@@ -16,7 +16,6 @@ Rules.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
@@ -24,8 +23,8 @@ from armctl.config import ArmConfig
 from armctl.errors import RequestRefused
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.inverse import solve_position
-from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
+from armctl.trajectory.approach import Driven
 from armctl.trajectory.interpolate import Interpolation, joint_path, time_law
 from armctl.trajectory.placement import Objective, StraightMotion, place
 from armctl.trajectory.plan import Plan, plan_positions, plan_through
@@ -33,14 +32,6 @@ from armctl.trajectory.straightness import errors_mm
 
 # Kept free before each joint limit: a curve through waypoints swings a little further than they do.
 SWING_RAD = np.radians(2.0)
-
-
-class Driven(Protocol):
-    """An arm, and how often it gets a goal."""
-
-    arm: ArmConfig
-    robot: Robot
-    period_s: float
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,16 +16,15 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from armctl.config import ArmConfig, Frozen, GripperConfig
+from armctl.config import Frozen, GripperConfig
 from armctl.errors import RequestRefused, UnreachableTarget
 from armctl.kinematics import solution
 from armctl.kinematics.chain import forward_kinematics
 from armctl.kinematics.genetic import solve as genetic
 from armctl.kinematics.inverse import pointing, pose_errors, refine_poses, unreachable
-from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import Grip, JointTrajectory
-from armctl.trajectory.approach import approach_trajectory
+from armctl.trajectory.approach import Driven, approach_trajectory
 from armctl.trajectory.bounds import Direction, Point
 from armctl.trajectory.interpolate import PEAK_SPEED, QUINTIC_PEAK_SPEED, joint_path, rest_to_rest, time_law
 from armctl.trajectory.preflight import preflight_motion, times_too_fast
@@ -77,9 +76,7 @@ class GripRequest(Frozen):
     grip: Literal["close", "open"] = "close"
 
 
-def plan_grasp(
-    request: ReachRequest, q_now: Sequence[float], arm: ArmConfig, robot: Robot, period_s: float
-) -> FloatArray:
+def plan_grasp(request: ReachRequest, q_now: Sequence[float], on: Driven) -> FloatArray:
     """The straight line to a point, checked as far as it is known before the arm moves.
 
     Args:
@@ -92,43 +89,33 @@ def plan_grasp(
             against the best solution. Code POSTURE: not so many postures may be gone to; each of them.
     """
     point = np.asarray(request.point_m, dtype=np.float64)
-    if point[2] < arm.floor_m:
-        raise RequestRefused("PREFLIGHT", f"the point is {point[2]:.3f} m high, below the floor at {arm.floor_m:.3f} m")
+    if (floor_m := on.arm.floor_m) > point[2]:
+        raise RequestRefused("PREFLIGHT", f"the point is {point[2]:.3f} m high, below the floor at {floor_m:.3f} m")
 
     def way(q: Sequence[float]) -> FloatArray:
-        path_rad = _straight(np.asarray(q), point, arm, robot, request.off_m, request.along)
-        there = approach(path_rad, q_now, arm, robot, period_s)
-        straight(path_rad, there.positions_rad[-1], arm, robot, period_s)
+        path_rad = _straight(np.asarray(q), point, on, request.off_m, request.along)
+        there = approach(path_rad, q_now, on)
+        straight(path_rad, there.positions_rad[-1], on)
         return path_rad
 
-    postures = _solutions(request, q_now, arm, robot)
+    postures = _solutions(request, q_now, on)
     return way_by((q.tolist() for q in postures), way, request.posture)
 
 
-def approach(
-    path_rad: FloatArray,
-    q_now: Sequence[float],
-    arm: ArmConfig,
-    robot: Robot,
-    period_s: float,
-    *,
-    opening: bool = False,
-) -> JointTrajectory:
+def approach(path_rad: FloatArray, q_now: Sequence[float], on: Driven, *, opening: bool = False) -> JointTrajectory:
     """The slow motion to the beginning of the straight line, the gripper opening on the way or staying as it is.
 
     Raises:
         RequestRefused: code PREFLIGHT.
     """
-    there = [*path_rad[0].tolist(), *q_now[robot.chain.n :]]
+    there = [*path_rad[0].tolist(), *q_now[on.robot.chain.n :]]
     if opening:
-        index, gripper = gripper_of(arm, robot)
+        index, gripper = gripper_of(on)
         there[index] = math.radians(gripper.open_deg)
-    return _settled(approach_trajectory(q_now, there, arm, robot, period_s, "reach"), q_now, arm, robot)
+    return _settled(approach_trajectory(q_now, there, on, "reach"), q_now, on)
 
 
-def straight(
-    path_rad: FloatArray, q_now: Sequence[float], arm: ArmConfig, robot: Robot, period_s: float
-) -> JointTrajectory:
+def straight(path_rad: FloatArray, q_now: Sequence[float], on: Driven) -> JointTrajectory:
     """The straight line, or the same backwards.
 
     Args:
@@ -137,47 +124,46 @@ def straight(
     Raises:
         RequestRefused: code PREFLIGHT.
     """
-    n = robot.chain.n
-    tool_m = forward_kinematics(robot.chain, path_rad[[0, -1]])[:, :3, 3]
+    n, joints = on.robot.chain.n, on.arm.joints[: on.robot.chain.n]
+    tool_m = forward_kinematics(on.robot.chain, path_rad[[0, -1]])[:, :3, 3]
     duration_s = QUINTIC_PEAK_SPEED * float(np.linalg.norm(tool_m[1] - tool_m[0])) / STRAIGHT_M_S
     knots = np.linspace(0.0, 1.0, len(path_rad))
-    low, high = np.array([joint.limits_rad for joint in arm.joints[:n]]).T
+    low, high = np.array([joint.limits_rad for joint in joints]).T
 
     def rows(count: int) -> FloatArray:
         place = rest_to_rest(np.zeros(1), np.ones(1), np.arange(count + 1) / count)[:, 0]
         return np.asarray(np.clip(joint_path(path_rad, knots, place, "cubic"), low, high))
 
-    slower = max(1.0, times_too_fast(rows(LOOKS), duration_s / LOOKS, arm.joints[:n]))
-    chain = rows(max(1, math.ceil(duration_s * slower / period_s)))
+    slower = max(1.0, times_too_fast(rows(LOOKS), duration_s / LOOKS, joints))
+    chain = rows(max(1, math.ceil(duration_s * slower / on.period_s)))
     others = np.tile(np.asarray(q_now[n:]), (len(chain), 1))
     positions = np.concatenate((chain, others), axis=1)
-    return _settled(_trajectory(positions, period_s, "straight"), q_now, arm, robot)
+    return _settled(_trajectory(positions, on.period_s, "straight"), q_now, on)
 
 
-def gripping(
-    q_now: Sequence[float], arm: ArmConfig, robot: Robot, period_s: float, *, closing: bool
-) -> JointTrajectory:
+def gripping(q_now: Sequence[float], on: Driven, *, closing: bool) -> JointTrajectory:
     """The gripper closes until its load says that it holds something, or opens; evenly, the other joints stay.
 
     Raises:
         RequestRefused: code NO_GRIPPER or PREFLIGHT.
     """
-    index, gripper = gripper_of(arm, robot)
+    index, gripper = gripper_of(on)
     way_rad = math.radians(gripper.closed_deg if closing else gripper.open_deg) - q_now[index]
-    speed_rad_s = min(CLOSING_RAD_S, arm.joints[index].speed_limit_rad_s)
-    rows = max(1, math.ceil(PEAK_SPEED * abs(way_rad) / speed_rad_s / period_s))
+    speed_rad_s = min(CLOSING_RAD_S, on.arm.joints[index].speed_limit_rad_s)
+    rows = max(1, math.ceil(PEAK_SPEED * abs(way_rad) / speed_rad_s / on.period_s))
     positions = np.tile(np.asarray(q_now, dtype=np.float64), (rows + 1, 1))
     positions[:, index] += way_rad * time_law(np.arange(rows + 1) / rows)
-    trajectory = _settled(_trajectory(positions, period_s, "grip" if closing else "let go"), q_now, arm, robot)
+    trajectory = _settled(_trajectory(positions, on.period_s, "grip" if closing else "let go"), q_now, on)
     return replace(trajectory, grip=Grip(index, gripper.load_ratio)) if closing else trajectory
 
 
-def gripper_of(arm: ArmConfig, robot: Robot) -> tuple[int, GripperConfig]:
+def gripper_of(on: Driven) -> tuple[int, GripperConfig]:
     """Index and settings of the joint that grips.
 
     Raises:
         RequestRefused: code NO_GRIPPER, the arm has none, or it is a joint that moves the tool point.
     """
+    arm, robot = on.arm, on.robot
     if arm.gripper is None:
         others = ", ".join(arm.joint_names[robot.chain.n :]) or "none"
         why = f"its calibration has no key gripper (joints that move no tool point: {others})"
@@ -188,10 +174,10 @@ def gripper_of(arm: ArmConfig, robot: Robot) -> tuple[int, GripperConfig]:
     return index, arm.gripper
 
 
-def _solutions(request: ReachRequest, q_now: Sequence[float], arm: ArmConfig, robot: Robot) -> Iterator[FloatArray]:
+def _solutions(request: ReachRequest, q_now: Sequence[float], on: Driven) -> Iterator[FloatArray]:
     """Joint positions of the chain [rad] within the limits that reach the point, best first; at least one."""
-    n = robot.chain.n
-    bounded = replace(robot, ranges_deg=tuple(joint.limits_deg for joint in arm.joints[:n]))
+    n = on.robot.chain.n
+    bounded = replace(on.robot, ranges_deg=tuple(joint.limits_deg for joint in on.arm.joints[:n]))
     target, present = aimed(request.point_m, request.direction), np.asarray(q_now[:n])
     method, seed = request.ik, request.seed
     if method == "closed" or method == "numeric":
@@ -208,7 +194,7 @@ def _solutions(request: ReachRequest, q_now: Sequence[float], arm: ArmConfig, ro
     yield from found
     # Where none of these will do, another member of a family may.
     try:
-        others = postures_at(target.T, q_now, arm, robot, turned=target.turned, direction=target.direction)
+        others = postures_at(target.T, q_now, on, turned=target.turned, direction=target.direction)
     except UnreachableTarget:
         if not found:
             raise
@@ -218,10 +204,10 @@ def _solutions(request: ReachRequest, q_now: Sequence[float], arm: ArmConfig, ro
             yield q
 
 
-def _straight(q: FloatArray, point: FloatArray, arm: ArmConfig, robot: Robot, off_m: float, along: Along) -> FloatArray:
+def _straight(q: FloatArray, point: FloatArray, on: Driven, off_m: float, along: Along) -> FloatArray:
     """Joint positions [rad] on the straight line that ends at q, shape (PLACES, n)."""
-    chain = robot.chain
-    limits = np.array([joint.limits_rad for joint in arm.joints[: chain.n]])
+    chain = on.robot.chain
+    limits = np.array([joint.limits_rad for joint in on.arm.joints[: chain.n]])
     T = np.repeat(forward_kinematics(chain, q)[None], PLACES, axis=0)
     back = np.array([0.0, 0.0, 1.0]) if along == "above" else -T[0, :3, :3] @ pointing(chain)
     T[:, :3, 3] = point + np.linspace(0.0, off_m, PLACES)[:, None] * back
@@ -244,10 +230,10 @@ def _trajectory(positions_rad: FloatArray, period_s: float, label: str) -> Joint
     return JointTrajectory(period_s, tuple(map(tuple, positions_rad.tolist())), label=label)
 
 
-def _settled(trajectory: JointTrajectory, q_now: Sequence[float], arm: ArmConfig, robot: Robot) -> JointTrajectory:
+def _settled(trajectory: JointTrajectory, q_now: Sequence[float], on: Driven) -> JointTrajectory:
     """The trajectory with time to come to rest at its end, if it may be run."""
     rows = trajectory.positions_rad
-    rows += rows[-1:] * math.ceil(SETTLE_S / trajectory.period_s)
-    if reasons := preflight_motion(np.array(rows), trajectory.period_s, arm, robot, start_rad=q_now):
+    rows += rows[-1:] * math.ceil(SETTLE_S / on.period_s)
+    if reasons := preflight_motion(np.array(rows), on.period_s, on.arm, on.robot, start_rad=q_now):
         raise RequestRefused("PREFLIGHT", reasons)
     return replace(trajectory, positions_rad=rows)

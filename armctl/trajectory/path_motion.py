@@ -23,6 +23,7 @@ from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import LONGEST_S, JointTrajectory
 from armctl.trajectory import line_path
+from armctl.trajectory.approach import Driven
 from armctl.trajectory.interpolate import PEAK_SPEED, columns_at, joint_path, time_law
 from armctl.trajectory.plan import Motion, against, led_in
 from armctl.trajectory.reference import ReferencePath
@@ -57,9 +58,7 @@ class PathMotion:
     rounding_m: FloatArray
 
 
-def path_motion(
-    request: PathRequest, q_now: Sequence[float], arm: ArmConfig, robot: Robot, period_s: float
-) -> PathMotion:
+def path_motion(request: PathRequest, q_now: Sequence[float], on: Driven) -> PathMotion:
     """The whole motion from where the arm is.
 
     Args:
@@ -68,7 +67,7 @@ def path_motion(
         RequestRefused: code PATH, the tool cannot follow it; code PREFLIGHT, every reason against the best way, and
             what duration would do.
     """
-    outline = Outline(request)
+    outline, arm, robot = Outline(request), on.arm, on.robot
     refused: tuple[str, ...] = ()
     for way in joint_ways(outline, q_now, arm, robot):
         pace_s = _slowest_pace_s(way, outline, arm)
@@ -81,7 +80,7 @@ def path_motion(
             motion = _motion(way, progress, duration_s, q_now[robot.chain.n :])
             reasons = against(motion, duration_s, arm, robot, q_now)
             if not reasons:
-                whole = led_in(motion, duration_s, arm, q_now, period_s, "path")
+                whole = led_in(motion, duration_s, arm, q_now, on.period_s, "path")
                 return PathMotion(whole, *_told(outline, progress))
             if request.duration_s is not None or not all("give it a duration" in reason for reason in reasons):
                 break

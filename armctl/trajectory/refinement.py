@@ -29,7 +29,8 @@ from armctl.dynamixel.ax12a import TICK_RAD
 from armctl.errors import RequestRefused
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
-from armctl.trajectory.course import Course, Driven, placed, plan_goals_rad, plan_of
+from armctl.trajectory.approach import Driven
+from armctl.trajectory.course import Course, placed, plan_goals_rad, plan_of
 from armctl.trajectory.interpolate import columns_at
 from armctl.trajectory.plan import Plan
 from armctl.trajectory.straightness import distance_to_line

@@ -11,14 +11,14 @@ from typing import TypeVar
 import numpy as np
 from pydantic import Field
 
-from armctl.config import ArmConfig, Frozen
+from armctl.config import Frozen
 from armctl.errors import RequestRefused
 from armctl.kinematics.inverse import pose_errors, refine_poses, unreachable
-from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.solution import within_limits
 from armctl.kinematics.target import Target, direction_target, point_target
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import LONGEST_S
+from armctl.trajectory.approach import Driven
 from armctl.trajectory.bounds import Direction, Joints, Point, Pose
 
 STARTS = 12
@@ -53,13 +53,7 @@ class MoveRequest(Frozen):
 
 
 def postures_at(
-    T: FloatArray,
-    q_now: Sequence[float],
-    arm: ArmConfig,
-    robot: Robot,
-    *,
-    turned: bool = True,
-    direction: FloatArray | None = None,
+    T: FloatArray, q_now: Sequence[float], on: Driven, *, turned: bool = True, direction: FloatArray | None = None
 ) -> list[list[float]]:
     """Joint positions [rad] inside the limits that bring the tool to a pose, the nearest first.
 
@@ -73,8 +67,8 @@ def postures_at(
     Raises:
         UnreachableTarget: there are none; carries the nearest distance found.
     """
-    chain = robot.chain
-    limits = np.array([joint.limits_rad for joint in arm.joints[: chain.n]])
+    chain = on.robot.chain
+    limits = np.array([joint.limits_rad for joint in on.arm.joints[: chain.n]])
     here = np.array(q_now[: chain.n])
     others = np.random.default_rng(0).uniform(limits[:, 0], limits[:, 1], (STARTS, chain.n))
     targets = np.broadcast_to(T, (STARTS + 1, 4, 4))

@@ -27,7 +27,7 @@ from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.target import pose_target
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import LONGEST_S, JointTrajectory
-from armctl.trajectory.approach import approach_duration_s
+from armctl.trajectory.approach import Driven, approach_duration_s
 from armctl.trajectory.bounds import Point
 from armctl.trajectory.plan import approached
 from armctl.trajectory.preflight import preflight_motion
@@ -109,14 +109,13 @@ def motion(cycle: TransferRequest, arm: ArmConfig, robot: Robot) -> Motion:
     return Motion((*_down_and_up(pick, cycle), there, *_down_and_up(place, cycle), back) * cycle.cycles)
 
 
-def transfer_trajectory(
-    cycle: TransferRequest, q_now: Sequence[float], arm: ArmConfig, robot: Robot, period_s: float
-) -> JointTrajectory:
+def transfer_trajectory(cycle: TransferRequest, q_now: Sequence[float], on: Driven) -> JointTrajectory:
     """Slow approach, dwell, the cycle in [begin_s, end_s], settle; joints beyond the chain stay.
 
     Raises:
         RequestRefused: code UNREACHABLE, or PREFLIGHT with every reason.
     """
+    arm, robot, period_s = on.arm, on.robot, on.period_s
     n, model = robot.chain.n, motion(cycle, arm, robot)
     q0 = np.asarray(q_now, dtype=np.float64)
     start = np.concatenate([model.sample(np.zeros(1))[0][0], q0[n:]])

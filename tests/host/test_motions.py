@@ -19,7 +19,7 @@ from armctl.kinematics import robots
 from armctl.kinematics.chain import forward_kinematics, tool_position
 from armctl.kinematics.transform import pose_from_xyz_rpy
 from armctl.messages import Hold, Mode, Run
-from armctl.trajectory.approach import approach_trajectory
+from armctl.trajectory.approach import DrivenArm, approach_trajectory
 from armctl.trajectory.preflight import preflight_motion
 from armctl.trajectory.target import MoveRequest, postures_at
 from tests.control.ideal_arm import PERIOD_S
@@ -309,7 +309,7 @@ async def test_a_jog_that_leads_links_into_each_other_is_refused(bench: Bench) -
 def way(request: MoveRequest, q_now: list[float]) -> list[float]:
     """Where a move of the paper's arm ends."""
     arm = load_arm("ax12-line")
-    made = move_trajectory(request, q_now, arm, robots.of(arm), PERIOD_S)
+    made = move_trajectory(request, q_now, DrivenArm(arm, robots.of(arm), PERIOD_S))
     return list(made.positions_rad[-1])
 
 
@@ -321,10 +321,10 @@ def test_a_point_whose_nearest_posture_must_not_be_gone_to_is_reached_in_another
     arm, rng = load_arm("ax12-line"), np.random.default_rng(2)
     robot, others = robots.of(arm), 0
     for point in rng.uniform((0.05, -0.2, 0.03), (0.25, 0.2, 0.3), (40, 3)):
-        postures = postures_at(pose_from_xyz_rpy(*point), REST_RAD, arm, robot, turned=False)
+        postures = postures_at(pose_from_xyz_rpy(*point), REST_RAD, DrivenArm(arm, robot, PERIOD_S), turned=False)
         allowed = []
         for goal in postures:
-            motion = approach_trajectory(REST_RAD, goal, arm, robot, PERIOD_S, "move")
+            motion = approach_trajectory(REST_RAD, goal, DrivenArm(arm, robot, PERIOD_S), "move")
             if not preflight_motion(np.array(motion.positions_rad), PERIOD_S, arm, robot, start_rad=REST_RAD):
                 allowed.append(goal)
         request = MoveRequest(point_m=tuple(point.tolist()))

@@ -15,13 +15,20 @@ from armctl.errors import RequestRefused
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import LONGEST_S, JointTrajectory, most_points
-from armctl.trajectory.approach import SHORTEST_APPROACH_S, approach_duration_s, approach_trajectory, lowest_link_m
+from armctl.trajectory.approach import (
+    SHORTEST_APPROACH_S,
+    DrivenArm,
+    approach_duration_s,
+    approach_trajectory,
+    lowest_link_m,
+)
 from armctl.trajectory.interpolate import rest_to_rest
 from armctl.trajectory.plan import approached
 from armctl.trajectory.thinning import thinned
 from tests.trajectory.conftest import ARM, REST, ROBOT
 
 PERIOD_S = 0.05
+ON = DrivenArm(ARM, ROBOT, PERIOD_S)
 POSES = st.tuples(*(st.floats(*joint.limits_rad) for joint in ARM.joints))
 
 
@@ -30,7 +37,7 @@ POSES = st.tuples(*(st.floats(*joint.limits_rad) for joint in ARM.joints))
 def test_no_approach_is_faster_than_20_degrees_a_second_or_the_tool_limit(
     q0: tuple[float, ...], q1: tuple[float, ...]
 ) -> None:
-    q = np.array(approach_trajectory(q0, q1, ARM, ROBOT, PERIOD_S, "x").positions_rad)
+    q = np.array(approach_trajectory(q0, q1, ON, "x").positions_rad)
     np.testing.assert_allclose(q[[0, -1]], [q0, q1], atol=1e-12)
     assert np.abs(np.diff(q, axis=0)).max() / PERIOD_S <= math.radians(20.0) * 1.001
     tool = tool_position(ROBOT.chain, q[:, : ROBOT.chain.n])
@@ -41,12 +48,12 @@ def test_a_tiny_way_still_takes_its_time_and_no_way_takes_none() -> None:
     q0 = np.zeros(6)
     assert approach_duration_s(q0, q0 + 1e-4, ARM, ROBOT) == pytest.approx(SHORTEST_APPROACH_S)
     assert approach_duration_s(q0, q0, ARM, ROBOT) == 0.0
-    assert len(approach_trajectory(tuple(q0), tuple(q0), ARM, ROBOT, PERIOD_S, "x").positions_rad) == 2
+    assert len(approach_trajectory(tuple(q0), tuple(q0), ON, "x").positions_rad) == 2
 
 
 def test_the_lowest_point_is_the_lowest_over_the_whole_way() -> None:
     stretched, down = [0.0] * 6, [0.0, -0.15, 0.0, 0.0, 0.0, 0.0]
-    way = approach_trajectory(stretched, down, ARM, ROBOT, PERIOD_S, "x")
+    way = approach_trajectory(stretched, down, ON, "x")
     assert lowest_link_m(way, ROBOT) == pytest.approx(0.10 - 0.38 * math.sin(0.15), abs=1e-9)
 
 
@@ -89,13 +96,13 @@ def test_a_thinned_motion_keeps_to_its_path_its_times_and_its_speeds(
 @pytest.mark.parametrize("period_s", [0.01, 0.1, 1.0])
 def test_the_longest_slow_way_passes_at_every_period(period_s: float) -> None:
     there = [REST[0] + 1.0, *REST[1:]]
-    way = thinned(approach_trajectory(REST, there, ARM, ROBOT, period_s, "move", LONGEST_S))
+    way = thinned(approach_trajectory(REST, there, DrivenArm(ARM, ROBOT, period_s), "move", LONGEST_S))
     assert len(way.positions_rad) <= most_points(6)
     assert way.duration_s == pytest.approx(LONGEST_S)
 
 
 def test_a_short_motion_stays_as_it_is() -> None:
-    way = approach_trajectory(REST, [0.0] * 6, ARM, ROBOT, 0.1, "move", 100.0)
+    way = approach_trajectory(REST, [0.0] * 6, DrivenArm(ARM, ROBOT, 0.1), "move", 100.0)
     assert thinned(way) is way
 
 

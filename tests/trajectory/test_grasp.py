@@ -8,16 +8,16 @@ import pytest
 from hypothesis import example, given, reject, settings
 from hypothesis import strategies as st
 
-from armctl.config import ArmConfig, validate
+from armctl.config import validate
 from armctl.dynamixel import ax12a
 from armctl.errors import ConfigError, RequestRefused, UnreachableTarget
 from armctl.files import load_arm
 from armctl.kinematics import robots
 from armctl.kinematics.chain import SerialChain, forward_kinematics, tool_position
 from armctl.kinematics.inverse import refine_poses
-from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.trajectory import grasp
+from armctl.trajectory.approach import DrivenArm
 from armctl.trajectory.grasp import Method, ReachRequest
 from armctl.trajectory.preflight import peak_rates, peak_tool_speed
 from tests.host.doubles import refused
@@ -26,15 +26,16 @@ POINT = (0.20, 0.05, 0.06)
 PERIOD_S = 0.1
 
 
-def where_of(name: str) -> tuple[list[float], ArmConfig, Robot, float]:
+def where_of(name: str) -> tuple[list[float], DrivenArm]:
     """Where a motion of this arm begins, at rest, and what else every function here asks for."""
     arm = load_arm(name)
-    return [joint.rest_rad for joint in arm.joints], arm, robots.get(arm.robot, arm.lengths_m), PERIOD_S
+    return [joint.rest_rad for joint in arm.joints], DrivenArm(arm, robots.get(arm.robot, arm.lengths_m), PERIOD_S)
 
 
 # An arm with a gripper, the last joint.
 XIANG = where_of("xiang-6dof")
-REST, ARM, ROBOT, _ = XIANG
+REST, ON = XIANG
+ARM, ROBOT = ON.arm, ON.robot
 
 
 def path_to(point: tuple[float, float, float] = POINT, **how: Any) -> FloatArray:
@@ -63,13 +64,14 @@ def keeps_its_turn(chain: SerialChain, q: FloatArray, places_m: FloatArray, limi
 def test_the_tool_comes_down_a_straight_line_and_turns_only_where_a_joint_is_at_its_limit(
     name: str, point: tuple[float, float, float]
 ) -> None:
-    q_now, arm, robot, period_s = where_of(name)
+    q_now, on = where_of(name)
+    arm, robot = on.arm, on.robot
     try:
-        planned = grasp.plan_grasp(ReachRequest(point_m=point, off_m=0.04), q_now, arm, robot, period_s)
+        planned = grasp.plan_grasp(ReachRequest(point_m=point, off_m=0.04), q_now, on)
     except RequestRefused:
         reject()
-    there = grasp.approach(planned, q_now, arm, robot, period_s).positions_rad[-1]
-    down = np.array(grasp.straight(planned, there, arm, robot, period_s).positions_rad)
+    there = grasp.approach(planned, q_now, on).positions_rad[-1]
+    down = np.array(grasp.straight(planned, there, on).positions_rad)
     T = forward_kinematics(robot.chain, down[:, : robot.chain.n])
     assert T[-1, :3, 3] == pytest.approx(point, abs=1e-6)
     assert T[0, :3, 3] == pytest.approx(np.add(point, (0.0, 0.0, 0.04)), abs=1e-5)
@@ -149,7 +151,7 @@ def test_a_gripper_closes_evenly_while_the_arm_stays() -> None:
     assert rows[-1, 5] == pytest.approx(math.radians(90.0))
     assert (rows[:, :5] == np.array(REST)[:5]).all()
     assert peak_rates(rows, PERIOD_S)[0][5] <= grasp.CLOSING_RAD_S * 1.001
-    opened = grasp.gripping(rows[-1].tolist(), ARM, ROBOT, PERIOD_S, closing=False)
+    opened = grasp.gripping(rows[-1].tolist(), ON, closing=False)
     assert opened.grip is None
     assert opened.positions_rad[-1] == pytest.approx(REST)
 
@@ -163,7 +165,7 @@ def test_a_joint_that_moves_the_tool_is_no_gripper() -> None:
     assert ARM.gripper is not None
     wrong = ARM.model_copy(update={"gripper": ARM.gripper.model_copy(update={"joint": "elbow"})})
     with pytest.raises(RequestRefused, match="elbow moves the tool point"):
-        grasp.gripping(REST, wrong, ROBOT, PERIOD_S, closing=True)
+        grasp.gripping(REST, DrivenArm(wrong, ROBOT, PERIOD_S), closing=True)
 
 
 def test_a_gripper_never_pushes_so_far_that_it_counts_as_blocked() -> None:

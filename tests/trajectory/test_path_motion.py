@@ -11,6 +11,7 @@ from armctl.errors import RequestRefused
 from armctl.files import load_arm
 from armctl.kinematics import robots
 from armctl.kinematics.chain import tool_position
+from armctl.trajectory.approach import DrivenArm
 from armctl.trajectory.line_path import MARGIN_RAD
 from armctl.trajectory.path_motion import PathMotion, path_motion
 from armctl.trajectory.preflight import peak_rates
@@ -23,7 +24,7 @@ ZIGZAG = ((0.16, -0.06, 0.1), (0.22, -0.03, 0.12), (0.16, 0.0, 0.1), (0.22, 0.03
 
 
 def made(request: PathRequest) -> PathMotion:
-    return path_motion(request, REST, ARM, ROBOT, PERIOD_S)
+    return path_motion(request, REST, DrivenArm(ARM, ROBOT, PERIOD_S))
 
 
 def rows(motion: PathMotion) -> tuple[np.ndarray, np.ndarray]:
@@ -80,7 +81,7 @@ def test_an_arm_that_faces_its_path_does_not_turn_its_base_around_for_it() -> No
     turned = set()
     for to_rad in np.arange(0.03, 0.9, 0.03):
         ends = tuple((radius_m * math.cos(turn), radius_m * math.sin(turn), z) for turn in (to_rad - 0.015, to_rad))
-        way = path_motion(PathRequest(points_m=ends), now, arm, robot, 0.1).trajectory
+        way = path_motion(PathRequest(points_m=ends), now, DrivenArm(arm, robot, 0.1)).trajectory
         turned.add(round(math.degrees(way.positions_rad[-1][0] - to_rad)))
     assert turned == {0}
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from armctl.config import ArmConfig
 from armctl.kinematics.transform import FloatArray
-from armctl.trajectory.approach import approach_trajectory
+from armctl.trajectory.approach import DrivenArm, approach_trajectory
 from armctl.trajectory.interpolate import rest_to_rest
 from armctl.trajectory.preflight import peak_rates, preflight_motion
 from tests.genetic import hand
@@ -27,7 +27,7 @@ PERIOD_S = 0.05
 def motion(*poses: FloatArray | list[float], arm: ArmConfig = ARM) -> FloatArray:
     """Slowly from pose to pose."""
     places = [np.asarray(pose).tolist() for pose in poses]
-    ways = [approach_trajectory(a, b, arm, ROBOT, PERIOD_S, "") for a, b in pairwise(places)]
+    ways = [approach_trajectory(a, b, DrivenArm(arm, ROBOT, PERIOD_S), "") for a, b in pairwise(places)]
     return np.concatenate([np.array(way.positions_rad) for way in ways])
 
 

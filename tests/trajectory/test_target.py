@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from armctl.errors import RequestRefused, UnreachableTarget
 from armctl.kinematics.chain import forward_kinematics, tool_position
 from armctl.kinematics.transform import FloatArray, pose_from_xyz_rpy
+from armctl.trajectory.approach import DrivenArm
 from armctl.trajectory.line_path import MARGIN_RAD, STATIONS, levers_m, line_paths, onto, sensitivity_m
 from armctl.trajectory.target import postures_at
 from tests.genetic import hand
@@ -17,13 +18,14 @@ from tests.host.doubles import refused
 from tests.trajectory.conftest import ARM, CHAIN, LIMITS, ROBOT
 
 N = CHAIN.n
+ON = DrivenArm(ARM, ROBOT, 0.1)
 NOW = tuple(math.radians(degrees) for degrees in (0.0, 87.0, -65.0, -64.0, -33.0, 20.0))
 
 configurations = st.tuples(*(st.floats(low, high) for low, high in LIMITS.tolist()))
 
 
 def at_point(point: FloatArray) -> list[float]:
-    return postures_at(pose_from_xyz_rpy(*point), NOW, ARM, ROBOT, turned=False)[0]
+    return postures_at(pose_from_xyz_rpy(*point), NOW, ON, turned=False)[0]
 
 
 @given(configurations)
@@ -56,12 +58,12 @@ def test_a_point_out_of_reach_says_how_near_the_tool_comes() -> None:
 def test_a_pose_near_the_present_one_is_reached(q: tuple[float, ...]) -> None:
     wanted = np.array(NOW[:N]) + 0.1 * np.clip(np.array(q), -1.0, 1.0)
     T = forward_kinematics(CHAIN, wanted)
-    assert forward_kinematics(CHAIN, np.array(postures_at(T, NOW, ARM, ROBOT)[0][:N])) == pytest.approx(T, abs=1e-3)
+    assert forward_kinematics(CHAIN, np.array(postures_at(T, NOW, ON)[0][:N])) == pytest.approx(T, abs=1e-3)
 
 
 def test_a_pose_the_arm_cannot_take_says_how_far_off_it_stays() -> None:
     with pytest.raises(UnreachableTarget, match=r"no nearer than .* mm and .* deg"):
-        postures_at(pose_from_xyz_rpy(0.18, 0.0, 0.15, yaw=math.pi / 2.0), NOW, ARM, ROBOT)
+        postures_at(pose_from_xyz_rpy(0.18, 0.0, 0.15, yaw=math.pi / 2.0), NOW, ON)
 
 
 # --------------------------------------------------------------------------------------------------------- along a line

@@ -13,6 +13,7 @@ from armctl.errors import RequestRefused
 from armctl.files import load_arm
 from armctl.kinematics import robots
 from armctl.kinematics.chain import forward_kinematics, tool_position
+from armctl.trajectory.approach import DrivenArm
 from armctl.trajectory.transfer import TransferRequest, motion, transfer_trajectory
 from tests.host.doubles import refused
 
@@ -69,7 +70,7 @@ def test_velocity_and_acceleration_are_the_derivatives_of_position() -> None:
 
 def test_what_is_commanded_is_the_model_at_the_ticks() -> None:
     twice = CYCLE.model_copy(update={"cycles": 2})
-    trajectory, model = transfer_trajectory(twice, REST, ARM, ROBOT, 0.1), motion(twice, ARM, ROBOT)
+    trajectory, model = transfer_trajectory(twice, REST, DrivenArm(ARM, ROBOT, 0.1)), motion(twice, ARM, ROBOT)
     rows = np.array(trajectory.positions_rad)
     assert rows[0] == pytest.approx(REST)
     begin = round(trajectory.begin_s / 0.1)
@@ -94,5 +95,5 @@ def test_a_station_out_of_reach_is_refused_with_the_distance() -> None:
 
 def test_a_cycle_that_is_too_fast_is_refused_with_every_reason() -> None:
     with refused("PREFLIGHT", "deg/s") as caught:
-        transfer_trajectory(CYCLE.model_copy(update={"carry_s": 0.5}), REST, ARM, ROBOT, 0.1)
+        transfer_trajectory(CYCLE.model_copy(update={"carry_s": 0.5}), REST, DrivenArm(ARM, ROBOT, 0.1))
     assert any("the tool would reach" in reason for reason in caught.value.reasons)

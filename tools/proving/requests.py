@@ -28,7 +28,7 @@ from armctl.messages import (
     TeachEnd,
     TorqueOn,
 )
-from armctl.trajectory.approach import approach_trajectory, lowest_link_m
+from armctl.trajectory.approach import DrivenArm, approach_trajectory, lowest_link_m
 from armctl.trajectory.interpolate import PEAK_SPEED
 from armctl.trajectory.plan import Plan, joint_trajectory
 from proving.story import Word
@@ -65,7 +65,7 @@ class Requests:
         rows = [q_now, *(postures[int(rng.integers(len(postures)))] for _ in range(via + 1))]
         if rng.random() < 0.3:
             return approach_trajectory(
-                q_now.tolist(), rows[-1].tolist(), self._arm, self._robot, PERIOD_S, "a slow way"
+                q_now.tolist(), rows[-1].tolist(), DrivenArm(self._arm, self._robot, PERIOD_S), "a slow way"
             )
         waypoints = np.array(rows)
         if rng.random() < WRIST_SHARE:
@@ -130,7 +130,7 @@ class Requests:
             q + math.copysign(math.radians(4.0), (joint.limits_rad[0] + joint.limits_rad[1]) / 2.0 - q)
             for q, joint in zip(q_now, self._arm.joints, strict=True)
         ]
-        return approach_trajectory(q_now, target, self._arm, self._robot, PERIOD_S, "going on")
+        return approach_trajectory(q_now, target, DrivenArm(self._arm, self._robot, PERIOD_S), "going on")
 
     def against(
         self,
@@ -172,7 +172,7 @@ class Requests:
         target = list(q_now)
         way_ticks = ahead_ticks if tick < ax12a.TICK_MAX / 2 else -ahead_ticks
         target[index] = self._arm.joints[index].position_rad(tick + way_ticks)
-        return approach_trajectory(q_now, target, self._arm, self._robot, PERIOD_S, "leaning")
+        return approach_trajectory(q_now, target, DrivenArm(self._arm, self._robot, PERIOD_S), "leaning")
 
     def straining(self, q_now: Sequence[float], index: int, tick: int, ahead_ticks: int) -> JointTrajectory:
         """The same, and another joint turns to and fro meanwhile: an arm that moves is not judged by its push."""

@@ -21,7 +21,7 @@ from armctl.sim.bus import SimulatedBus
 from armctl.sim.faults import Fault, Faults
 from armctl.sim.loopback import LoopbackPort
 from armctl.sim.virtual_arm import FIRST_TICKS, VirtualArm
-from armctl.trajectory.approach import approach_trajectory
+from armctl.trajectory.approach import DrivenArm, approach_trajectory
 from proving.arms import arm_of, drawn
 from proving.requests import PERIOD_S
 from proving.rules import RED
@@ -104,7 +104,7 @@ def trial(seed: int, share: float, told: Told) -> None:
             a + (SWING_RAD if a < sum(joint.limits_rad) / 2.0 else -SWING_RAD)
             for a, joint in zip(q, arm.joints, strict=True)
         ]
-        swing = approach_trajectory(q, target, arm, virtual.robot, PERIOD_S, "swing")
+        swing = approach_trajectory(q, target, DrivenArm(arm, virtual.robot, PERIOD_S), "swing")
         done = carried_out(Run(virtual.next_id(), swing))
     if virtual.loop.state.fault is None:
         carried_out(Release(virtual.next_id()))
