@@ -23,8 +23,8 @@ from armctl.kinematics.chain import jacobian
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import Command, Mode, Park, Run, TorqueOn, Write
-from armctl.trajectory.approach import DrivenArm, approach_trajectory
-from armctl.trajectory.preflight import preflight_motion
+from armctl.trajectory.approach import approach_trajectory
+from armctl.trajectory.preflight import DrivenArm, preflight_motion
 
 # How far it turns (8.8 deg), and what stays free between its goal and a limit (4.4 deg).
 WIGGLE_TICK, ROOM_TICK = 30, 15
@@ -134,7 +134,7 @@ def first_motion(bus: ServoBus, arm: ArmConfig, period_s: float) -> None:
     away = (here + np.clip(to_middle, -FIRST_RAD, FIRST_RAD)).tolist()
     for number, (start, end) in enumerate(((here, away), (away, here)), start=2):
         way = approach_trajectory(start, end, on, "first motion")
-        if reasons := preflight_motion(np.array(way.positions_rad), period_s, arm, on.robot):
+        if reasons := preflight_motion(np.array(way.positions_rad), on):
             raise RequestRefused("PREFLIGHT", reasons)
         _carry_out(loop, Run(number, way), period_s)
     _carry_out(loop, Park(4), period_s)

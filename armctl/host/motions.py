@@ -17,11 +17,11 @@ from armctl.kinematics.chain import tool_position
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import pose_from_xyz_rpy
 from armctl.messages import JointTrajectory
-from armctl.trajectory.approach import Driven, approach_trajectory
+from armctl.trajectory.approach import approach_trajectory
 from armctl.trajectory.path_motion import PathMotion, path_motion
 from armctl.trajectory.plan import Plan, joint_trajectory, preflight
 from armctl.trajectory.playback import PlayRequest, TaughtMotion, playback
-from armctl.trajectory.preflight import preflight_motion
+from armctl.trajectory.preflight import Driven, preflight_motion
 from armctl.trajectory.reference import ReferencePath, error_mm
 from armctl.trajectory.target import MoveRequest, aimed, postures_at, way_by
 from armctl.trajectory.tool_path import PathRequest
@@ -142,7 +142,7 @@ def move_trajectory(request: MoveRequest, q_now: Sequence[float], on: Driven) ->
     def way(goal: Sequence[float]) -> JointTrajectory:
         trajectory = approach_trajectory(q_now, goal, on, "move", request.duration_s)
         positions = np.array(trajectory.positions_rad)
-        if reasons := preflight_motion(positions, on.period_s, on.arm, on.robot, start_rad=q_now):
+        if reasons := preflight_motion(positions, on, start_rad=q_now):
             raise RequestRefused("PREFLIGHT" if within_limits(goal, on.arm) else "LIMIT", reasons)
         return trajectory
 

@@ -31,9 +31,9 @@ from armctl.host.watch import Leg, run_name
 from armctl.recording import recordings
 from armctl.recording.disk import put
 from armctl.trajectory import grasp
-from armctl.trajectory.approach import DrivenArm
 from armctl.trajectory.path_motion import path_motion
 from armctl.trajectory.playback import playback
+from armctl.trajectory.preflight import DrivenArm
 from armctl.trajectory.program import Instruction, Program, ProgramRequest, Step, place_of, written_out
 from armctl.trajectory.target import MoveRequest
 

@@ -116,7 +116,7 @@ def on_virtual_arm(arm: ArmConfig, asked: Asked, period_s: float, config: Config
             takes = guided_takes(rig, line, asked.seed, stage)
         rest_rad = [joint.rest_rad for joint in arm.joints]
         back = approach_trajectory(rig.goals_rad, rest_rad, rig, "to rest")
-        if preflight_motion(np.array(back.positions_rad), period_s, arm, rig.robot):
+        if preflight_motion(np.array(back.positions_rad), rig):
             rig = at_rest()
     found = _report(rig, line, asked, identified(rig, asked.rounds, asked.seed, stage), takes, stage)
     return {**found, "geometry": asked.geometry, "age": asked.age}

@@ -22,8 +22,8 @@ from armctl.recording import recordings
 from armctl.recording.recordings import Recording
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.virtual_arm import VirtualArm
-from armctl.trajectory.approach import Driven
 from armctl.trajectory.plan import Plan, joint_trajectory, preflight
+from armctl.trajectory.preflight import Driven
 from armctl.trajectory.refinement import Measured, waited_long
 
 # Time between two points of the true tool path.

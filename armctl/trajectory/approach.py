@@ -6,8 +6,6 @@ follows from its peaks; a solver of time-optimal laws (toppra, ruckig) is of no 
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -17,26 +15,10 @@ from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import JointTrajectory
 from armctl.trajectory.interpolate import QUINTIC_PEAK_ACCELERATION, QUINTIC_PEAK_SPEED, rest_to_rest
+from armctl.trajectory.preflight import Driven
 
 APPROACH_SPEED_RAD_S = math.radians(20.0)
 SHORTEST_APPROACH_S = 0.5
-
-
-class Driven(Protocol):
-    """An arm, and how often it gets a goal."""
-
-    arm: ArmConfig
-    robot: Robot
-    period_s: float
-
-
-@dataclass
-class DrivenArm:
-    """The same, and nothing else."""
-
-    arm: ArmConfig
-    robot: Robot
-    period_s: float
 
 
 def approach_duration_s(q0: FloatArray, q1: FloatArray, arm: ArmConfig, robot: Robot) -> float:

@@ -24,10 +24,10 @@ from armctl.errors import RequestRefused
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.inverse import solve_position
 from armctl.kinematics.transform import FloatArray
-from armctl.trajectory.approach import Driven
 from armctl.trajectory.interpolate import Interpolation, joint_path, time_law
 from armctl.trajectory.placement import Objective, StraightMotion, place
 from armctl.trajectory.plan import Plan, plan_positions, plan_through
+from armctl.trajectory.preflight import Driven
 from armctl.trajectory.straightness import errors_mm
 
 # Kept free before each joint limit: a curve through waypoints swings a little further than they do.

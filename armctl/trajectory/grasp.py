@@ -24,10 +24,10 @@ from armctl.kinematics.genetic import solve as genetic
 from armctl.kinematics.inverse import pointing, pose_errors, refine_poses, unreachable
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import Grip, JointTrajectory
-from armctl.trajectory.approach import Driven, approach_trajectory
+from armctl.trajectory.approach import approach_trajectory
 from armctl.trajectory.bounds import Direction, Point
 from armctl.trajectory.interpolate import PEAK_SPEED, QUINTIC_PEAK_SPEED, joint_path, rest_to_rest, time_law
-from armctl.trajectory.preflight import preflight_motion, times_too_fast
+from armctl.trajectory.preflight import Driven, preflight_motion, times_too_fast
 from armctl.trajectory.target import MOST_POSTURES, SAME_RAD, aimed, postures_at, way_by
 
 Method = Literal["closed", "numeric", "ga", "ga-improved"]
@@ -234,6 +234,6 @@ def _settled(trajectory: JointTrajectory, q_now: Sequence[float], on: Driven) ->
     """The trajectory with time to come to rest at its end, if it may be run."""
     rows = trajectory.positions_rad
     rows += rows[-1:] * math.ceil(SETTLE_S / on.period_s)
-    if reasons := preflight_motion(np.array(rows), on.period_s, on.arm, on.robot, start_rad=q_now):
+    if reasons := preflight_motion(np.array(rows), on, start_rad=q_now):
         raise RequestRefused("PREFLIGHT", reasons)
     return replace(trajectory, positions_rad=rows)

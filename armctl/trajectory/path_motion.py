@@ -23,9 +23,9 @@ from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import LONGEST_S, JointTrajectory
 from armctl.trajectory import line_path
-from armctl.trajectory.approach import Driven
 from armctl.trajectory.interpolate import PEAK_SPEED, columns_at, joint_path, time_law
 from armctl.trajectory.plan import Motion, against, led_in
+from armctl.trajectory.preflight import Driven
 from armctl.trajectory.reference import ReferencePath
 from armctl.trajectory.tool_path import Outline, PathRequest
 
@@ -80,7 +80,7 @@ def path_motion(request: PathRequest, q_now: Sequence[float], on: Driven) -> Pat
             motion = _motion(way, progress, duration_s, q_now[robot.chain.n :])
             reasons = against(motion, duration_s, arm, robot, q_now)
             if not reasons:
-                whole = led_in(motion, duration_s, arm, q_now, on.period_s, "path")
+                whole = led_in(motion, duration_s, on, q_now, "path")
                 return PathMotion(whole, *_told(outline, progress))
             if request.duration_s is not None or not all("give it a duration" in reason for reason in reasons):
                 break

@@ -24,7 +24,7 @@ from armctl.kinematics.transform import FloatArray
 from armctl.messages import LONGEST_S, JointTrajectory
 from armctl.trajectory.approach import approach_duration_s
 from armctl.trajectory.interpolate import Interpolation, joint_path, rest_to_rest, time_law
-from armctl.trajectory.preflight import preflight_motion
+from armctl.trajectory.preflight import Driven, DrivenArm, preflight_motion
 
 # How far behind its first point a plan is approached: more than what play and friction of a loaded servo take.
 LEAD_RAD = math.radians(4.0)
@@ -153,18 +153,12 @@ def joint_trajectory(plan: Plan, arm: ArmConfig, q_now: Sequence[float], period_
         ValueError: `q_now` is not one finite number a joint of the plan, or the period is not positive.
     """
     motion = partial(plan_positions, plan)
-    return led_in(motion, plan.duration_s, arm, q_now, period_s, f"line via {plan.via}", early_s=math.inf)
+    on = DrivenArm(arm, robots.of(arm), period_s)
+    return led_in(motion, plan.duration_s, on, q_now, f"line via {plan.via}", early_s=math.inf)
 
 
 def led_in(
-    motion: Motion,
-    duration_s: float,
-    arm: ArmConfig,
-    q_now: Sequence[float],
-    period_s: float,
-    label: str,
-    *,
-    early_s: float = EARLY_S,
+    motion: Motion, duration_s: float, on: Driven, q_now: Sequence[float], label: str, *, early_s: float = EARLY_S
 ) -> JointTrajectory:
     """Any motion with its slow approach, which comes to its first point in the direction of departure.
 
@@ -174,17 +168,16 @@ def led_in(
     Raises:
         ValueError: `q_now` is not one finite number a joint of the motion, or the period is not positive.
     """
-    [start] = motion(np.zeros(1))
+    [start], arm, period_s = motion(np.zeros(1)), on.arm, on.period_s
     q0 = np.asarray(q_now, dtype=np.float64)
     if not start.shape == q0.shape == (len(arm.joints),) or not np.isfinite(q0).all():
         raise ValueError(f"q_now {q0.shape} and motion {start.shape} must be one finite number for each joint")
     if not 0.0 < period_s < math.inf:
         raise ValueError(f"period_s {period_s} must be above 0")
-    robot = robots.get(arm.robot, arm.lengths_m)
     low, high = np.array([joint.limits_rad for joint in arm.joints]).T
     lead_rad = _lead(motion, min(early_s, LEAD_SHARE * duration_s))
     behind = np.where((low <= start) & (start <= high), np.clip(start - lead_rad, low, high), start)
-    there_s, led_s = [approach_duration_s(a, b, arm, robot) for a, b in ((q0, behind), (behind, start))]
+    there_s, led_s = [approach_duration_s(a, b, arm, on.robot) for a, b in ((q0, behind), (behind, start))]
     ways = [(q0, behind, there_s), (behind, start, max(LEAD_S, led_s) if led_s else 0.0)]
     return approached(ways, motion, duration_s, period_s, label)
 
@@ -196,8 +189,9 @@ def against(
 
     Looks at the whole motion, approach included, every `CHECK_PERIOD_S`.
     """
-    whole = led_in(motion, duration_s, arm, q_now, CHECK_PERIOD_S, "", early_s=early_s)
-    return preflight_motion(np.array(whole.positions_rad), CHECK_PERIOD_S, arm, robot, duration_s=duration_s)
+    on = DrivenArm(arm, robot, CHECK_PERIOD_S)
+    whole = led_in(motion, duration_s, on, q_now, "", early_s=early_s)
+    return preflight_motion(np.array(whole.positions_rad), on, duration_s=duration_s)
 
 
 def approached(

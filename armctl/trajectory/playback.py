@@ -33,7 +33,7 @@ from armctl.messages import LONGEST_S, JointTrajectory
 from armctl.trajectory.bounds import Joints
 from armctl.trajectory.interpolate import columns_at
 from armctl.trajectory.plan import CHECK_PERIOD_S, against, led_in
-from armctl.trajectory.preflight import EDGE_TICKS, ROUNDING, peak_tool_speed, times_too_fast
+from armctl.trajectory.preflight import EDGE_TICKS, ROUNDING, DrivenArm, peak_tool_speed, times_too_fast
 from armctl.trajectory.reference import ReferencePath
 from armctl.trajectory.smoothing import local_cubics
 
@@ -182,7 +182,7 @@ class Playback:
 
         if reasons := against(motion, self.duration_s, self.arm, self.robot, q_now):
             raise RequestRefused("PREFLIGHT", self._with_rate(reasons, kept))
-        return led_in(motion, self.duration_s, self.arm, q_now, period_s, "play")
+        return led_in(motion, self.duration_s, DrivenArm(self.arm, self.robot, period_s), q_now, "play")
 
     def _with_rate(self, reasons: Sequence[str], kept: FloatArray) -> list[str]:
         """The reasons, with the rate that would do in place of a duration."""

@@ -11,6 +11,8 @@ Rules.
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -33,14 +35,25 @@ BLOCK_ROWS = 4096
 SAME_M = 1e-6
 
 
+class Driven(Protocol):
+    """An arm, and how often it gets a goal."""
+
+    arm: ArmConfig
+    robot: Robot
+    period_s: float
+
+
+@dataclass
+class DrivenArm:
+    """The same, and nothing else."""
+
+    arm: ArmConfig
+    robot: Robot
+    period_s: float
+
+
 def preflight_motion(
-    positions_rad: FloatArray,
-    period_s: float,
-    arm: ArmConfig,
-    robot: Robot,
-    *,
-    start_rad: Sequence[float] | None = None,
-    duration_s: float | None = None,
+    positions_rad: FloatArray, on: Driven, *, start_rad: Sequence[float] | None = None, duration_s: float | None = None
 ) -> tuple[str, ...]:
     """Every reason why this motion must not run on this arm; empty: it may.
 
@@ -49,6 +62,7 @@ def preflight_motion(
         start_rad: Where the arm is commanded to be [rad], shape (joints,); None: the motion begins there.
         duration_s: The duration its maker can change, for the advice how to slow it down; None: the whole.
     """
+    arm, robot, period_s = on.arm, on.robot, on.period_s
     q = np.asarray(positions_rad, dtype=np.float64)
     joints = len(arm.joints)
     if q.ndim != 2 or q.shape[0] < 2 or q.shape[1] != joints:

@@ -29,10 +29,10 @@ from armctl.dynamixel.ax12a import TICK_RAD
 from armctl.errors import RequestRefused
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
-from armctl.trajectory.approach import Driven
 from armctl.trajectory.course import Course, placed, plan_goals_rad, plan_of
 from armctl.trajectory.interpolate import columns_at
 from armctl.trajectory.plan import Plan
+from armctl.trajectory.preflight import Driven
 from armctl.trajectory.straightness import distance_to_line
 
 GAINS = (0.8, 0.6, 0.5, 0.4, 0.35, 0.3)

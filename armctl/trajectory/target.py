@@ -18,8 +18,8 @@ from armctl.kinematics.solution import within_limits
 from armctl.kinematics.target import Target, direction_target, point_target
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import LONGEST_S
-from armctl.trajectory.approach import Driven
 from armctl.trajectory.bounds import Direction, Joints, Point, Pose
+from armctl.trajectory.preflight import Driven
 
 STARTS = 12
 POSITION_TOLERANCE_M = 1e-6

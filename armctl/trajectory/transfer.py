@@ -27,10 +27,10 @@ from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.target import pose_target
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import LONGEST_S, JointTrajectory
-from armctl.trajectory.approach import Driven, approach_duration_s
+from armctl.trajectory.approach import approach_duration_s
 from armctl.trajectory.bounds import Point
 from armctl.trajectory.plan import approached
-from armctl.trajectory.preflight import preflight_motion
+from armctl.trajectory.preflight import Driven, preflight_motion
 from armctl.trajectory.quintic import Quintic, quintic
 
 # Event under which a log holds the parameters of the cycle that it records.
@@ -115,18 +115,17 @@ def transfer_trajectory(cycle: TransferRequest, q_now: Sequence[float], on: Driv
     Raises:
         RequestRefused: code UNREACHABLE, or PREFLIGHT with every reason.
     """
-    arm, robot, period_s = on.arm, on.robot, on.period_s
-    n, model = robot.chain.n, motion(cycle, arm, robot)
+    n, model = on.robot.chain.n, motion(cycle, on.arm, on.robot)
     q0 = np.asarray(q_now, dtype=np.float64)
     start = np.concatenate([model.sample(np.zeros(1))[0][0], q0[n:]])
-    approach_s = approach_duration_s(q0, start, arm, robot)
+    approach_s = approach_duration_s(q0, start, on.arm, on.robot)
 
     def positions(time_s: FloatArray) -> FloatArray:
         others = np.tile(q0[n:], (len(time_s), 1))
         return np.concatenate([model.sample(time_s)[0], others], axis=1)
 
-    trajectory = approached([(q0, start, approach_s)], positions, model.duration_s, period_s, "transfer")
-    if reasons := preflight_motion(np.array(trajectory.positions_rad), period_s, arm, robot, start_rad=q_now):
+    trajectory = approached([(q0, start, approach_s)], positions, model.duration_s, on.period_s, "transfer")
+    if reasons := preflight_motion(np.array(trajectory.positions_rad), on, start_rad=q_now):
         raise RequestRefused("PREFLIGHT", reasons)
     return trajectory
 

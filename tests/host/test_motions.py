@@ -19,8 +19,8 @@ from armctl.kinematics import robots
 from armctl.kinematics.chain import forward_kinematics, tool_position
 from armctl.kinematics.transform import pose_from_xyz_rpy
 from armctl.messages import Hold, Mode, Run
-from armctl.trajectory.approach import DrivenArm, approach_trajectory
-from armctl.trajectory.preflight import preflight_motion
+from armctl.trajectory.approach import approach_trajectory
+from armctl.trajectory.preflight import DrivenArm, preflight_motion
 from armctl.trajectory.target import MoveRequest, postures_at
 from tests.control.ideal_arm import PERIOD_S
 from tests.host.bench import Bench
@@ -319,13 +319,13 @@ REST_RAD = [joint.rest_rad for joint in load_arm("ax12-line").joints]
 def test_a_point_whose_nearest_posture_must_not_be_gone_to_is_reached_in_another() -> None:
     """Of 40 points over the table, from the rest pose; before, every one whose nearest posture touches was refused."""
     arm, rng = load_arm("ax12-line"), np.random.default_rng(2)
-    robot, others = robots.of(arm), 0
+    on, others = DrivenArm(arm, robots.of(arm), PERIOD_S), 0
     for point in rng.uniform((0.05, -0.2, 0.03), (0.25, 0.2, 0.3), (40, 3)):
-        postures = postures_at(pose_from_xyz_rpy(*point), REST_RAD, DrivenArm(arm, robot, PERIOD_S), turned=False)
+        postures = postures_at(pose_from_xyz_rpy(*point), REST_RAD, on, turned=False)
         allowed = []
         for goal in postures:
-            motion = approach_trajectory(REST_RAD, goal, DrivenArm(arm, robot, PERIOD_S), "move")
-            if not preflight_motion(np.array(motion.positions_rad), PERIOD_S, arm, robot, start_rad=REST_RAD):
+            motion = approach_trajectory(REST_RAD, goal, on, "move")
+            if not preflight_motion(np.array(motion.positions_rad), on, start_rad=REST_RAD):
                 allowed.append(goal)
         request = MoveRequest(point_m=tuple(point.tolist()))
         if not allowed:

@@ -17,13 +17,13 @@ from armctl.kinematics.transform import FloatArray
 from armctl.messages import LONGEST_S, JointTrajectory, most_points
 from armctl.trajectory.approach import (
     SHORTEST_APPROACH_S,
-    DrivenArm,
     approach_duration_s,
     approach_trajectory,
     lowest_link_m,
 )
 from armctl.trajectory.interpolate import rest_to_rest
 from armctl.trajectory.plan import approached
+from armctl.trajectory.preflight import DrivenArm
 from armctl.trajectory.thinning import thinned
 from tests.trajectory.conftest import ARM, REST, ROBOT
 

@@ -17,9 +17,8 @@ from armctl.kinematics.chain import SerialChain, forward_kinematics, tool_positi
 from armctl.kinematics.inverse import refine_poses
 from armctl.kinematics.transform import FloatArray
 from armctl.trajectory import grasp
-from armctl.trajectory.approach import DrivenArm
 from armctl.trajectory.grasp import Method, ReachRequest
-from armctl.trajectory.preflight import peak_rates, peak_tool_speed
+from armctl.trajectory.preflight import DrivenArm, peak_rates, peak_tool_speed
 from tests.host.doubles import refused
 
 POINT = (0.20, 0.05, 0.06)

@@ -11,10 +11,9 @@ from armctl.errors import RequestRefused
 from armctl.files import load_arm
 from armctl.kinematics import robots
 from armctl.kinematics.chain import tool_position
-from armctl.trajectory.approach import DrivenArm
 from armctl.trajectory.line_path import MARGIN_RAD
 from armctl.trajectory.path_motion import PathMotion, path_motion
-from armctl.trajectory.preflight import peak_rates
+from armctl.trajectory.preflight import DrivenArm, peak_rates
 from armctl.trajectory.tool_path import Outline, PathRequest
 from tests.host.doubles import refused
 from tests.trajectory.conftest import ARM, CHAIN, LIMITS, REST, ROBOT

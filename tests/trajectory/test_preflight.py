@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 from armctl.config import ArmConfig
 from armctl.kinematics.transform import FloatArray
-from armctl.trajectory.approach import DrivenArm, approach_trajectory
+from armctl.trajectory.approach import approach_trajectory
 from armctl.trajectory.interpolate import rest_to_rest
-from armctl.trajectory.preflight import peak_rates, preflight_motion
+from armctl.trajectory.preflight import DrivenArm, peak_rates, preflight_motion
 from tests.genetic import hand
 from tests.genetic.hand import changed
 from tests.kinematics.conftest import rngs
@@ -32,7 +32,7 @@ def motion(*poses: FloatArray | list[float], arm: ArmConfig = ARM) -> FloatArray
 
 
 def reasons(q: FloatArray, arm: ArmConfig = ARM, **options: Any) -> tuple[str, ...]:
-    return preflight_motion(q, PERIOD_S, arm, ROBOT, **options)
+    return preflight_motion(q, DrivenArm(arm, ROBOT, PERIOD_S), **options)
 
 
 def the_reason(q: FloatArray, **options: Any) -> str:
@@ -61,7 +61,7 @@ def test_demo_lines_may_be_run_in_every_posture_they_are_taught_in() -> None:
     ],
 )
 def test_what_is_no_motion_is_refused_at_once(q: FloatArray, period_s: float, match: str) -> None:
-    (reason,) = preflight_motion(q, period_s, ARM, ROBOT)
+    (reason,) = preflight_motion(q, DrivenArm(ARM, ROBOT, period_s))
     assert re.search(match, reason)
 
 
@@ -123,7 +123,7 @@ def test_what_happens_between_two_rows_far_apart_is_seen_too() -> None:
     inwards, outwards = np.radians([[0.0, 40.0, -80.0, -50.0, hand_deg, 0.0] for hand_deg in (-80.0, 80.0)])
     for pose in (inwards, outwards):
         assert reasons(np.stack([pose, pose])) == ()
-    (reason,) = preflight_motion(np.stack([inwards, outwards]), 60.0, ARM, ROBOT)
+    (reason,) = preflight_motion(np.stack([inwards, outwards]), DrivenArm(ARM, ROBOT, 60.0))
     assert "the tool would come down to -0.0" in reason
 
 

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from armctl.errors import RequestRefused, UnreachableTarget
 from armctl.kinematics.chain import forward_kinematics, tool_position
 from armctl.kinematics.transform import FloatArray, pose_from_xyz_rpy
-from armctl.trajectory.approach import DrivenArm
 from armctl.trajectory.line_path import MARGIN_RAD, STATIONS, levers_m, line_paths, onto, sensitivity_m
+from armctl.trajectory.preflight import DrivenArm
 from armctl.trajectory.target import postures_at
 from tests.genetic import hand
 from tests.host.doubles import refused

@@ -13,7 +13,7 @@ from armctl.errors import RequestRefused
 from armctl.files import load_arm
 from armctl.kinematics import robots
 from armctl.kinematics.chain import forward_kinematics, tool_position
-from armctl.trajectory.approach import DrivenArm
+from armctl.trajectory.preflight import DrivenArm
 from armctl.trajectory.transfer import TransferRequest, motion, transfer_trajectory
 from tests.host.doubles import refused
 

@@ -28,7 +28,7 @@ from armctl.messages import (
     TickRecord,
 )
 from armctl.sim.faults import Fault
-from armctl.trajectory.preflight import preflight_motion
+from armctl.trajectory.preflight import DrivenArm, preflight_motion
 from proving.person import Doing, Person
 from proving.reading import RESTING
 from proving.story import Wish
@@ -178,7 +178,9 @@ class Clerk(Person):
             else:
                 trajectory = (self._requests.dashing if what == "dash" else self._requests.planned)(rng, q_now)
             refused = preflight_motion(
-                np.array(trajectory.positions_rad), trajectory.period_s, self._arm, self._robot, start_rad=q_now
+                np.array(trajectory.positions_rad),
+                DrivenArm(self._arm, self._robot, trajectory.period_s),
+                start_rad=q_now,
             )
             self._episode.rows["refused by the host" if refused else "let through by the host"] += 1
             if not refused:

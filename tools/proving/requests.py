@@ -28,9 +28,10 @@ from armctl.messages import (
     TeachEnd,
     TorqueOn,
 )
-from armctl.trajectory.approach import DrivenArm, approach_trajectory, lowest_link_m
+from armctl.trajectory.approach import approach_trajectory, lowest_link_m
 from armctl.trajectory.interpolate import PEAK_SPEED
 from armctl.trajectory.plan import Plan, joint_trajectory
+from armctl.trajectory.preflight import DrivenArm
 from proving.story import Word
 
 PERIOD_S = 0.1

@@ -21,7 +21,8 @@ from armctl.sim.bus import SimulatedBus
 from armctl.sim.faults import Fault, Faults
 from armctl.sim.loopback import LoopbackPort
 from armctl.sim.virtual_arm import FIRST_TICKS, VirtualArm
-from armctl.trajectory.approach import DrivenArm, approach_trajectory
+from armctl.trajectory.approach import approach_trajectory
+from armctl.trajectory.preflight import DrivenArm
 from proving.arms import arm_of, drawn
 from proving.requests import PERIOD_S
 from proving.rules import RED
