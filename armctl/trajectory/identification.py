@@ -4,9 +4,8 @@ Rules.
 1. A servo's output tells where its speed ramp is: |error| = margin + (|output| - punch) / gain, in whole ticks. The
    ramp itself follows from goals and speeds as they were sent. What lies between the two is the delay; and which of two
    ramps fits, one that goes on or one that begins at the shaft, tells `ramp_from_reference`.
-2. A joint that slides balances its torques (v: velocity, G: gravity, s: the sign of v):
-   output * voltage / 12 V = v / no_load - G / stall + s (coulomb + load_friction |G|) / stall + bias + inertia * a
-   for all joints at once: masses, strengths and frictions that explain it best, and are likely beforehand (`PRIOR`).
+2. One reading foretells the next (`foretelling.py`), for all joints at once: masses, strengths and frictions that do so
+   best, and are likely beforehand. Ramps that begin at the shaft show their delay by this alone.
 3. A joint that stands bears at most its stiction: what it bore last before it broke away tells the ratio.
 4. A joint that stands while gravity on it turns over crosses its play, and its goal and motor do not.
 5. What the data do not show is left out, and said in words. Standard deviations are those of the fit, and no less than
@@ -18,7 +17,6 @@ Ticks, outputs, velocities and gravity are the servo's own, counter-clockwise po
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
-from functools import partial
 from itertools import pairwise
 from typing import Any, Self
 
@@ -30,27 +28,22 @@ from armctl.dynamixel.ax12a import LOAD_MAX, TICK_RAD
 from armctl.dynamixel.servos import MODELS
 from armctl.kinematics.chain import SerialChain
 from armctl.kinematics.transform import FloatArray
-from armctl.trajectory import lag
+from armctl.trajectory import foretelling, lag
 
 RATED_V, SERVO_KG, TOOL_KG = 12.0, 0.0746, 0.08
-# Standard deviations of what is likely beforehand: shares of a servo's mass, the tool's, strength, no-load speed and
-# friction; friction of a load, bias of the output, inertia over strength [s^2].
-PRIOR = {"servo": 0.09, "tool": 0.15, "stall": 0.12, "speed": 0.06, "friction": 1.5}
-PRIOR |= {"load": 0.05, "bias": 0.01, "inertia": 0.006}
-FRICTION_SHARE, LOAD_FRICTION, INERTIA_S2 = 0.08, 0.075, 0.006
-# Samples that are close to one another tell less than so many.
-SPOILS = 5.0
 DELAYS_S = np.arange(0.0, 0.1, 0.001)
 # A delay whose standard deviation would be larger was not seen; what is farther off a ramp is none of it.
 UNSEEN_DELAY_S, OUTLIER_TICK = 0.008, 8.0
-# An output that is not limited; a joint that slides steadily; instants between two readings; two readings that follow.
-FULL, STEADY_RAD_S, PARTS, GAP_S = 0.9, 0.12, 20, 0.3
+# An output that is not limited; two readings that follow one another; what is usual where it was not seen.
+FULL, GAP_S, USUAL = 0.9, 0.3, {"delay_ms": (34.0, 12.0), "noise_tick": (1.0, 0.5)}
+# A delay that only motions tell is told if it is known so well [s]; stretches of motion that tell all.
+SEEN_DELAY_S, STRETCHES = 0.004, 1500
 # Samples without which nothing is said, and with which all is; of a stand on either side of a play, and before it.
 FEWEST, MOST, STAND, SETTLES = 40, 20_000, 15, 8
 # Gravity that pushes a shaft to an end of its play [N m], and what of its friction may turn its motor.
 PUSHES_NM, TURNS = 0.02, 0.75
 # The least standard deviations: friction, speed, slope (shares), play [deg], delay [s].
-FLOOR = {"friction": 0.04, "speed": 0.06, "play": 0.02, "delay": 0.0015, "slope": 0.02}
+FLOOR = {"friction": 0.04, "speed": 0.06, "play": 0.02, "delay": 0.0015, "jump": 0.003, "slope": 0.02}
 QUANTITIES = ("coulomb_Nm", "stiction_ratio", "slope_tick", "punch", "play_deg", "delay_ms")
 
 
@@ -192,12 +185,10 @@ def _fit_controller(trace: Trace, h: int, found: JointFound) -> None:
     else:
         found.values["slope_tick"] = slope_tick, slope_tick * FLOOR["slope"]
         found.values["punch"] = LOAD_MAX * punch, LOAD_MAX * 0.05 * gain
+        found.values["gain"] = gain, gain * FLOOR["slope"]
     if found.ramp_evidence < 0.0 or seen is None:
-        found.unseen["delay_ms"] = (
-            "with each goal its ramp begins at the shaft, and it jumps" if seen else "see slope_tick"
-        )
+        found.unseen["delay_ms"] = "no motion was fast enough to show it" if seen else "see slope_tick"
         return
-    found.values["gain"] = gain, gain * FLOOR["slope"]
     found.values["noise_tick"] = math.sqrt(max(variance - 2.0 / 12.0, 0.0)), 0.1
     near = np.abs(np.arange(len(DELAYS_S)) - k) <= 15
     bend, lean, _ = np.polyfit(DELAYS_S[near] - DELAYS_S[k], curve[near], 2).tolist()
@@ -250,103 +241,64 @@ def gravity(arm: ArmConfig, chain: SerialChain, q: FloatArray) -> FloatArray:
 def _balance(
     arm: ArmConfig, trace: Trace, basis: FloatArray, joints: Sequence[JointFound]
 ) -> tuple[FloatArray, FloatArray]:
-    """Masses [kg] and biases of the outputs; frictions and strengths go to the joints (rule 2)."""
-    count, n = len(joints), basis.shape[2] - 1
-    usual = usual_kg(arm, n)
-    stall0 = np.array([MODELS[j.model].stall_torque_Nm * (1 if j.pair is None else 2) for j in arm.joints])
-    free0 = np.array([MODELS[joint.model].no_load_speed_rad_s for joint in arm.joints])
-    slid = [_sliding(trace, h, found) for h, found in enumerate(joints)]
-    loads = [(basis[h, k] + basis[h, k + 1]) / 2.0 for h, (k, *_) in enumerate(slid)]
-    kinds = ("stall", "speed", "friction", "load", "bias", "inertia")
-    prior = np.concatenate(
-        [np.full(n, PRIOR["servo"]), [PRIOR["tool"]], np.repeat([PRIOR[key] for key in kinds], count)]
-    )
-    theta = np.zeros(len(prior))
-
-    def parts(theta: FloatArray) -> list[FloatArray]:
-        kg, stall, free, friction, load, bias, inertia = np.split(theta, n + 1 + count * np.arange(len(kinds)))
-        stall = stall0 * np.exp(stall)
-        coulomb = stall * FRICTION_SHARE * np.exp(friction)
-        return [
-            usual * np.exp(kg),
-            stall,
-            free0 * np.exp(free),
-            coulomb,
-            LOAD_FRICTION + load,
-            bias,
-            INERTIA_S2 + inertia,
-        ]
-
-    def left(theta: FloatArray) -> list[FloatArray]:
-        kg, stall, free, coulomb, load, bias, inertia = parts(theta)
-        found = []
-        for h, (B, (_, y, v, a)) in enumerate(zip(loads, slid, strict=True)):
-            G = B @ kg
-            torque = np.sign(v) * (coulomb[h] + load[h] * np.abs(G)) - G
-            found.append(y - v / free[h] - torque / stall[h] - bias[h] - inertia[h] * a)
-        return found
-
-    for _ in range(6):
-        now = left(theta)
-        sd = np.concatenate([np.full(len(r), max(math.sqrt(float(r @ r) / max(len(r), 1)), 0.003)) for r in now])
-        r = np.concatenate(now) / sd
-        J = np.stack([(np.concatenate(left(theta + d)) / sd - r) / 1e-5 for d in 1e-5 * np.eye(len(theta))], axis=1)
-        cov = np.linalg.inv(J.T @ J / SPOILS + np.diag(prior**-2))
-        theta = theta - cov @ (J.T @ r / SPOILS + theta * prior**-2)
-    kg, *found, bias, _ = parts(theta)
+    """Masses [kg] and biases of the outputs; what else motions tell goes to the joints (rule 2)."""
+    models = [MODELS[joint.model] for joint in arm.joints]
+    strong = [model.stall_torque_Nm * (1 if j.pair is None else 2) for model, j in zip(models, arm.joints, strict=True)]
+    delays = [joint.values.get("delay_ms", (math.nan, math.nan)) for joint in joints]
+    speeds = np.array([model.no_load_speed_rad_s for model in models])
+    guess = foretelling.Guess(usual_kg(arm, basis.shape[2] - 1), np.array(strong), speeds, 1e-3 * np.array(delays).T)
+    seen = {h: _stretches(trace, h, basis[h], found) for h, found in enumerate(joints) if "gain" in found.values}
+    theta, cov = foretelling.fit(guess, {h: one for h, one in seen.items() if len(one.length_s)})
+    biases, count = np.zeros(len(joints)), len(foretelling.LIKELY)
     for h, joint in enumerate(joints):
-        v, (stall, free, coulomb, load) = slid[h][2], (float(one[h]) for one in found)
-        at = n + 1 + count * np.arange(4) + h
-        sds = np.sqrt(np.diag(cov)[at]).tolist()
+        motor, at = guess.means(theta, h)[1], len(guess.kg) + count * h + np.arange(count)
+        sds = foretelling.Motor(*np.sqrt(np.diag(cov)[at]).tolist())
         both = math.sqrt(float(cov[np.ix_(at[[0, 2]], at[[0, 2]])].sum()))
-        joint.values |= {
-            "stall_Nm": (stall, stall * sds[0]),
-            "no_load_rad_s": (free, free * math.hypot(sds[1], FLOOR["speed"])),
-        }
-        joint.values["load_friction"] = max(load, 0.0), sds[3]
-        if min((v > 0.0).sum(), (v < 0.0).sum()) >= FEWEST / 4:
-            joint.values["coulomb_Nm"] = coulomb, coulomb * math.hypot(both, FLOOR["friction"])
-        else:
-            joint.unseen["coulomb_Nm"] = "it did not slide long enough, both ways"
-    return kg, bias
+        biases[h], free = motor.bias, motor.no_load_rad_s
+        joint.values["stall_Nm"] = motor.stall_Nm, motor.stall_Nm * sds.stall_Nm
+        joint.values["no_load_rad_s"] = free, free * math.hypot(sds.no_load_rad_s, FLOOR["speed"])
+        joint.values["load_friction"] = motor.load_friction, sds.load_friction
+        v = seen[h].seen[1] if h in seen else np.zeros(0)
+        if min((v > 0.0).sum(), (v < 0.0).sum()) < FEWEST / 4:
+            joint.unseen["coulomb_Nm"] = "it did not slide long enough, both ways" if h in seen else "see slope_tick"
+            continue
+        joint.values["coulomb_Nm"] = motor.coulomb_Nm, motor.coulomb_Nm * math.hypot(both, FLOOR["friction"])
+        if "delay_ms" not in joint.values and sds.delay_s <= SEEN_DELAY_S:
+            joint.values["delay_ms"] = 1e3 * motor.delay_s, 1e3 * math.hypot(sds.delay_s, FLOOR["jump"])
+            joint.unseen.pop("delay_ms", None)
+    return guess.means(theta, 0)[0], biases
 
 
-def _sliding(trace: Trace, h: int, found: JointFound) -> tuple[NDArray[Any], FloatArray, FloatArray, FloatArray]:
-    """Where a joint slides steadily from one reading to the next, and means in between: output at `RATED_V`, velocity
-    [rad/s], acceleration [rad/s^2].
-
-    In between the shaft goes evenly, and the controller sees whole ticks of what is between it and the ramp. Goals and
-    readings keep step, so that outputs at the readings alone would always tell of the same moment of a tick.
-    """
-    if "delay_ms" not in found.values:  # where it came to stand friction is as often on this side as on that
-        stands = (trace.velocity_rad_s[1:-1, h] == 0.0) & (trace.velocity_rad_s[:-2, h] != 0.0) & trace.known[1:-1, h]
-        k = 1 + np.flatnonzero(stands)
-        return k, trace.output[k, h] * trace.voltage_V[k, h] / RATED_V, np.zeros(len(k)), np.zeros(len(k))
-    gain, punch = found["gain"], found["punch"] / LOAD_MAX
-    ramps = partial(ramp_tick, trace, h, delay_s=1e-3 * found["delay_ms"], from_reference=found.ramp_evidence > 0.0)
+def _stretches(trace: Trace, h: int, basis: FloatArray, found: JointFound) -> foretelling.Stretches:
+    """Where a joint slides one way or breaks away, so that its motor stays on one side of its play."""
     t, v, output, margin = (one[:, h] for one in (trace.read_s, trace.velocity_rad_s, trace.output, trace.margin_tick))
+    gain, punch = found["gain"], found["punch"] / LOAD_MAX
+    delay_s, noise_tick = (found.values.get(key, usual)[0] for key, usual in USUAL.items())
+    ramp = ramp_tick(trace, h, t, 1e-3 * delay_s, from_reference=found.ramp_evidence > 0.0)
     # The shaft, once by what it says, and once by what its output tells of its error.
-    worked = ramps(t) - np.sign(output) * (margin + (np.abs(output) - punch) / gain)
-    said_var, worked_var = found["noise_tick"] ** 2 + 1.0 / 12.0, 1.0 / 6.0
-    share = np.where((output != 0.0) & (np.abs(output) < FULL), said_var / (said_var + worked_var), 0.0)
-    x = share * worked + (1.0 - share) * trace.position_tick[:, h]
-    slow, fast = np.sort(np.abs([v[:-1], v[1:]]), axis=0)
-    steady = (slow >= STEADY_RAD_S) & (v[1:] * v[:-1] > 0.0) & (fast < 2.0 * slow) & (np.diff(t) < GAP_S)
-    told = _told(trace, h)
-    k = np.flatnonzero(steady & told[1:] & told[:-1])
-    k = k[:: 1 + len(k) // MOST]
-    length_s, u = t[k + 1] - t[k], (np.arange(PARTS) + 0.5) / PARTS
-    error = ramps(t[k, None] + length_s[:, None] * u) - x[k, None] - (x[k + 1] - x[k])[:, None] * u
-    whole = np.floor(np.abs(error))
-
-    def works(whole: FloatArray) -> FloatArray:
-        beyond = whole - margin[k, None]
-        return np.where(beyond > 0.0, punch + beyond * gain, 0.0)
-
-    part = np.abs(error) - whole
-    mean = (np.sign(error) * ((1.0 - part) * works(whole) + part * works(whole + 1.0))).mean(axis=1)
+    worked = ramp - np.sign(output) * (margin + (np.abs(output) - punch) / gain)
+    said_var, worked_var = noise_tick**2 + 1.0 / 12.0, 1.0 / 6.0
+    said = trace.position_tick[:, h]
+    both = worked + (said - worked) * worked_var / (said_var + worked_var)
+    x = np.where(output != 0.0, both, np.clip(said, ramp - 1.0 - margin, ramp + 1.0 + margin))
+    k = np.arange(1, len(t) - 1)
+    sides = np.sign([v[:-2], v[1:-1], v[2:]])
+    one_way = np.abs(sides.sum(axis=0)) == np.abs(sides).sum(axis=0)
+    told, limited = _told(trace, h), np.abs(output) >= FULL
+    moves = (v[k] != 0.0) | (v[k + 1] != 0.0) | ((output[k] != 0.0) & (k % 3 == 0))
+    k = k[
+        one_way & moves & told[:-2] & told[1:-1] & told[2:] & (t[2:] - t[1:-1] < GAP_S) & ~(limited[1:-1] | limited[2:])
+    ]
+    k = k[:: 1 + len(k) // STRETCHES]
     volts = (trace.voltage_V[k, h] + trace.voltage_V[k + 1, h]) / (2.0 * RATED_V)
-    return k, mean * volts, (x[k + 1] - x[k]) * TICK_RAD / length_s, (v[k + 1] - v[k]) / length_s
+    goal_tick = np.array([trace.shown_tick[k, h], trace.goal_tick[k, h]])
+    return foretelling.Stretches(
+        length_s=t[k + 1] - t[k], shaft_tick=x[k], ramp_tick=ramp[k], velocity_rad_s=v[k], goal_tick=goal_tick,
+        sent_s=np.where(np.isfinite(trace.sent_s[k]), trace.sent_s[k] - t[k], math.inf),
+        speed_tick_s=trace.speed_tick_s[[k - 1, k], h], from_reference=found.ramp_evidence > 0.0,
+        margin_tick=margin[k], punch=punch, gain=gain, volts=volts, gravity=basis[[k, k + 1]],
+        seen=np.array([x[k + 1] - x[k], v[k + 1], output[k + 1]]),
+    )  # fmt: skip
 
 
 def _fit_stiction(trace: Trace, h: int, G: FloatArray, bias: float, found: JointFound) -> None:

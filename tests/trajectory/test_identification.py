@@ -166,11 +166,16 @@ def test_a_made_up_joint_is_found_within_its_intervals(seed: int) -> None:
     assert "play_deg" in base.unseen
 
 
-def test_ramps_from_the_shaft_are_told_and_delay_is_not_invented() -> None:
-    found = identify(ARM, CHAIN, turning(0.03, 0.08, 6.2, 0.8, from_reference=False, seed=1))
+@pytest.mark.parametrize("seed", range(4))
+def test_a_joint_whose_ramps_begin_at_the_shaft_is_found_by_what_it_does_next(seed: int) -> None:
+    rng = np.random.default_rng(seed + 10)
+    delay_s, friction, free = rng.uniform(0.017, 0.05), rng.uniform(0.05, 0.12), rng.uniform(5.6, 6.8)
+    found = identify(ARM, CHAIN, turning(delay_s, friction, free, 0.8, from_reference=False, seed=seed))
+    base = found.joints[0]
     assert found.ramp_from_reference is False
-    assert "delay_ms" in found.joints[0].unseen
-    assert "coulomb_Nm" in found.joints[0].unseen
+    assert base["coulomb_Nm"] / base["stall_Nm"] == pytest.approx(friction, rel=0.15)
+    if "delay_ms" not in base.unseen:
+        assert base["delay_ms"] == pytest.approx(1e3 * delay_s, abs=min(10.0, 3.0 * base.values["delay_ms"][1]))
 
 
 def test_an_arm_that_only_stood_tells_nothing_and_says_so() -> None:

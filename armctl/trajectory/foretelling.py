@@ -1,0 +1,184 @@
+"""Where a servo is at its next reading, by what it was told: its motor and the masses that foretell it best. No arm.
+
+The position controller (`docs/simulator.md`) sees whole ticks; where in a tick shaft and ramp are is not known, and so
+its output is the mean over all places. With each goal, a delay after it was sent, the ramp goes on, or begins at the
+shaft. v: velocity, G: gravity, s: the side of v:
+
+    stall (output * voltage / 12 V - bias - v / no_load - inertia * dv/dt) + G = s (coulomb + load_friction |G|)
+
+A shaft that stands does so up to `ratio` times this friction. A heavy joint is not yet steady when it is read again:
+so all of what lies between two readings is integrated, many stretches at once.
+
+Ticks, outputs, velocities and gravity are the servo's own, counter-clockwise positive; h is a joint's index.
+"""
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armctl.dynamixel.ax12a import TICK_RAD
+from armctl.kinematics.transform import FloatArray
+
+STEPS, LEAST_INERTIA_S2 = 50, 5e-4
+FRICTION_SHARE = 0.08
+# Of each number in `Motor`: what is likely, its standard deviation (of the first three as a share), and the difference
+# by which a derivative is taken.
+LIKELY = (
+    (0.0, 0.12, 0.02), (0.0, 0.06, 0.02), (0.0, 1.5, 0.04), (0.075, 0.045, 0.01), (1.25, 0.15, 0.03),
+    (0.034, 0.012, 0.002), (0.006, 0.006, 0.0006), (0.0, 0.02, 0.003),
+)  # fmt: skip
+# Shares of a servo's mass and the tool's.
+SERVO_SHARE, TOOL_SHARE, SHARE_STEP = 0.09, 0.15, 0.02
+# Stretches that are close to one another, and the same wrong equations, tell less than so many.
+SPOILS = 100.0
+# Rounds at most, the change in standard deviations after which there is none more, the longest way of one in steps;
+# the least deviations of what is foretold [tick, rad/s, share of full output], and from how many on one counts less.
+ROUNDS, DONE, LEAP, LEAST, FAR = 8, 0.1, 15.0, ((0.3,), (0.02,), (0.01,)), 2.0
+
+
+class Motor(NamedTuple):
+    """One joint's motor and gears."""
+
+    stall_Nm: float
+    no_load_rad_s: float
+    coulomb_Nm: float
+    load_friction: float
+    stiction_ratio: float
+    delay_s: float
+    # Over `stall_Nm`.
+    inertia_s2: float
+    # Of the output.
+    bias: float
+
+
+@dataclass(frozen=True, eq=False)
+class Stretches:
+    """From one reading of a servo to the next, m times: arrays of shape (m,) where nothing else is said."""
+
+    length_s: FloatArray
+    # At their begins.
+    shaft_tick: FloatArray
+    ramp_tick: FloatArray
+    velocity_rad_s: FloatArray
+    # After which time a goal was sent, inf: none; goals [tick] and speeds [tick/s] before and after it, shape (2, m).
+    sent_s: FloatArray
+    goal_tick: FloatArray
+    speed_tick_s: FloatArray
+    from_reference: bool
+    margin_tick: FloatArray
+    punch: float
+    # Output per tick.
+    gain: float
+    # Share of the rated voltage.
+    volts: FloatArray
+    # Of each mass, at begin and end [N m/kg], shape (2, m, masses).
+    gravity: FloatArray
+    # How far the shaft went [tick], and at the end velocity and output: shape (3, m).
+    seen: FloatArray
+
+
+def output(stretches: Stretches, error_tick: FloatArray) -> FloatArray:
+    """Of the controller at an error, the mean over all places in a tick, shape (m,)."""
+    whole = np.floor(np.abs(error_tick))
+    low, high = (
+        np.where(beyond > 0.0, np.minimum(stretches.punch + beyond * stretches.gain, 1.0), 0.0)
+        for beyond in (whole - stretches.margin_tick, whole + 1.0 - stretches.margin_tick)
+    )
+    return np.asarray(np.sign(error_tick) * (low + (np.abs(error_tick) - whole) * (high - low)))
+
+
+def foretold(stretches: Stretches, kg: FloatArray, motor: Motor) -> FloatArray:
+    """What is to be seen at the ends, as `Stretches.seen`."""
+    one, dt = stretches, stretches.length_s / STEPS
+    x, ramp, v = one.shaft_tick, one.ramp_tick, one.velocity_rad_s
+    gravity, waits = one.gravity @ kg, np.isfinite(one.sent_s)
+    inertia = max(motor.inertia_s2, LEAST_INERTIA_S2) * motor.stall_Nm
+    for i in range(STEPS):
+        later = np.clip(i + 1.0 - (one.sent_s + motor.delay_s) / dt, 0.0, 1.0)  # share of the step after the new goal
+        if not one.from_reference:
+            begins = waits & (later > 0.0)
+            ramp, waits = np.where(begins, x, ramp), waits & ~begins
+        G = gravity[0] + (gravity[1] - gravity[0]) * ((i + 0.5) / STEPS)
+        friction = motor.coulomb_Nm + motor.load_friction * np.abs(G)
+        drive = output(one, ramp - x) * one.volts - motor.bias - v / motor.no_load_rad_s
+        torque = motor.stall_Nm * drive + G
+        side = np.where(v != 0.0, np.sign(v), np.sign(torque))
+        after = v + (torque - side * friction) * dt / inertia
+        stands = (v == 0.0) & (np.abs(torque) <= motor.stiction_ratio * friction)
+        v = np.where(stands | (after * side <= 0.0), 0.0, after)
+        x = x + v * dt / TICK_RAD
+        for goal, speed, part_s in zip(one.goal_tick, one.speed_tick_s, ((1.0 - later) * dt, later * dt), strict=True):
+            ramp = ramp + np.clip(goal - ramp, -speed * part_s, speed * part_s)
+    return np.array([x - one.shaft_tick, v, output(one, ramp - x)])
+
+
+@dataclass(frozen=True, eq=False)
+class Guess:
+    """What is usual: masses [kg], and of each joint strength, speed and, if it was seen, delay with its deviation."""
+
+    kg: FloatArray
+    stall_Nm: FloatArray
+    no_load_rad_s: FloatArray
+    # [s], shape (2, joints); NaN: not seen.
+    delay_s: FloatArray
+
+    def prior(self) -> FloatArray:
+        """Standard deviations of all numbers: of masses, then of each joint's `Motor`."""
+        masses = [SERVO_SHARE] * (len(self.kg) - 1) + [TOOL_SHARE]
+        motors = np.tile([sd for _, sd, _ in LIKELY], (len(self.stall_Nm), 1))
+        at = Motor._fields.index("delay_s")
+        motors[:, at] = np.where(np.isnan(self.delay_s[1]), motors[:, at], self.delay_s[1])
+        return np.concatenate([masses, motors.ravel()])
+
+    def means(self, theta: FloatArray, h: int) -> tuple[FloatArray, Motor]:
+        """Masses [kg], and the motor of a joint."""
+        n = len(self.kg)
+        a = theta[n + len(LIKELY) * h :][: len(LIKELY)] + [usual for usual, _, _ in LIKELY]
+        stall_Nm, seen_s = float(self.stall_Nm[h] * math.exp(a[0])), self.delay_s[0, h]
+        delay_s = float(a[5] if np.isnan(seen_s) else seen_s + theta[n + len(LIKELY) * h + 5])
+        return self.kg * np.exp(theta[:n]), Motor(
+            stall_Nm, float(self.no_load_rad_s[h] * math.exp(a[1])), stall_Nm * FRICTION_SHARE * math.exp(a[2]),
+            max(float(a[3]), 0.0), max(float(a[4]), 1.0), max(delay_s, 0.0), float(a[6]), float(a[7]),
+        )  # fmt: skip
+
+
+def fit(guess: Guess, seen: Mapping[int, Stretches]) -> tuple[FloatArray, FloatArray]:
+    """The numbers (see `Guess.prior`) that foretell best what was seen of some joints, and their covariance."""
+    prior, n = guess.prior(), len(guess.kg)
+    step = np.concatenate([[SHARE_STEP] * n, np.tile([one for _, _, one in LIKELY], len(guess.stall_Nm))])
+    theta: FloatArray = np.zeros(len(prior))
+    cov: FloatArray = np.diag(prior**2)
+    for _ in range(ROUNDS):
+        bend, lean = np.diag(prior**-2), theta * prior**-2
+        for own, J, r in _slopes(guess, seen, theta, step):
+            bend[np.ix_(own, own)] += J @ J.T / SPOILS
+            lean[own] += J @ r / SPOILS
+        cov = np.asarray(np.linalg.inv(bend))
+        change = -cov @ lean
+        theta = theta + np.clip(change, -LEAP * step, LEAP * step)
+        if np.abs(change / np.sqrt(np.diag(cov))).max() < DONE:
+            break
+    return theta, cov
+
+
+def _slopes(
+    guess: Guess, seen: Mapping[int, Stretches], theta: FloatArray, step: FloatArray
+) -> Iterator[tuple[NDArray[np.int64], FloatArray, FloatArray]]:
+    """Of each joint that was seen: which numbers count, the derivatives, and what is left, in standard deviations."""
+    n = len(guess.kg)
+    for h, one in seen.items():
+
+        def left(theta: FloatArray, h: int = h, one: Stretches = one) -> FloatArray:
+            return foretold(one, *guess.means(theta, h)) - one.seen
+
+        own = np.r_[np.flatnonzero(np.abs(one.gravity).max(axis=(0, 1)) > 1e-6), n + len(LIKELY) * h + np.arange(8)]
+        r = left(theta)
+        sd = np.maximum(1.48 * np.median(np.abs(r), axis=1, keepdims=True), LEAST)
+        weight = 1.0 / np.sqrt(np.maximum(1.0, np.abs(r) / (FAR * sd))) / sd
+        moved = np.eye(len(theta))[own] * step
+        J = [weight * (left(theta + d) - left(theta - d)) / (2.0 * d.max()) for d in moved]
+        yield own, np.array(J).reshape(len(own), -1), (weight * r).ravel()
