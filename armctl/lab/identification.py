@@ -44,12 +44,12 @@ from armctl.trajectory.plan import Plan, plan_through, preflight
 SWEEP_RAD = math.radians(16.0)
 LEGS = [(share, 45.0) for share in (1.0, -1.0, 0.8, -0.8, 0.6, -0.6, 0.35, -0.35, 0.0)]
 LEGS += [(0.1, 1.6), (0.0, 1.6), (0.1, 1.6)]
-HALF = [*LEGS[:2], *LEGS[4:9], *LEGS[-3:-1]]
+HALF = [*LEGS[:2], *LEGS[4:6], LEGS[8], *LEGS[-3:-1]]
 QUICK = [(0.4, 16.0), (-0.4, 16.0), (0.4, 25.0), (-0.4, 25.0), (0.0, 16.0)]
 # So little that no speed lasts: goals and readings keep step, and at one speed would always tell of the same moment.
 ACCELERATION_RAD_S2 = math.radians(50.0)
 # A joint sweeps where so much gravity pulls [N m], at most so far out; what is fast is so much slower where it must be.
-PULLS_NM, OUT_RAD, SLOWER, FAST_DEG_S = 0.25, (math.radians(55.0), math.radians(30.0), 0.0), (1.0, 0.6, 0.35), 18.0
+PULLS_NM, OUT_RAD, SLOWER, FAST_DEG_S = 0.5, (math.radians(55.0), math.radians(30.0), 0.0), (1.0, 0.6, 0.35), 18.0
 # With how much gravity on it a joint stands on either side of its balance, and how long on each; at most so far over.
 LEANS_NM, LEAN_S, MOST_LEAN_RAD = 0.04, (1.5, 5.0, 9.0, 5.0), math.radians(25.0)
 LOOK_S = 0.1
