@@ -59,7 +59,7 @@ LED_M_S = 0.03
 LEAST_WAY_M = 0.0002
 # Between a word and the answer [s].
 BETWEEN_S = 0.1
-# The joints [deg] from which it is led up and down, and to which it comes back after so many cuts: none is near a limit.
+# The joints [deg] from which it is led up and down, none near a limit; it comes back there after so many cuts.
 MIDDLE_DEG, ASTRAY = (0.0, 87.0, -65.0, -64.0, -33.0, 0.0), 20
 # Arms, the line that each can reach [m], and by what it is driven.
 JOURNEYS = tuple(
