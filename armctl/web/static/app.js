@@ -13,6 +13,9 @@ import { $, act, after, armView, asked, confirmed, degrees, logIn, millimetres, 
 let drive = null;
 const trail = [];
 const TRAIL = 150;
+// The tool has gone on when it is so far from where the trail ends [m]; a picture of an arm that stands stays as it is.
+// Readings go to and fro by a tick, 0.0051 rad.
+const [FARTHER_M, STILL_RAD] = [0.001, 0.006];
 
 async function stop() {
   const button = $("stop");
@@ -71,7 +74,7 @@ function show(latest) {
   $("commander").textContent = latest.commander ?? "";
   $("run-progress").value = latest.progress ?? 0;
   if (place) {
-    trail.push(place);
+    if (!trail.length || Math.hypot(...place.map((value, i) => value - trail.at(-1)[i])) > FARTHER_M) trail.push(place);
     if (trail.length > TRAIL) trail.shift();
     const line = wantedLine();
     $("line-error-part").hidden = !line;
@@ -186,12 +189,18 @@ function repaint() {
   for (const made of views) made.paint();
 }
 
+let lineDrawn = "";
+
+// `glide`: on the way there from what is shown, if there is any.
 function drawArm(glide = false) {
   if (!page.view || ($("view-arm").hidden && $("view-guide").hidden) || document.hidden || !page.snapshot) return;
   const q = page.snapshot.joints.map((joint) => joint.position_rad);
   if (q.includes(null)) return;
+  const line = wantedLine() || [], still = page.view.wanted?.every((angle, i) => Math.abs(angle - q[i]) < STILL_RAD);
+  if (glide && still && String(line) === lineDrawn) return;
+  lineDrawn = String(line);
   page.view.pose(q, glide && !calm.matches);
-  page.view.curve("line", wantedLine() || [], "--red", true);
+  page.view.curve("line", line, "--red", true);
   page.view.curve("trail", trail, "--ok");
 }
 

@@ -158,6 +158,7 @@ export class ArmView {
     this.ghost = new Bodies(arm, { servo: this.materials.ghost, link: this.materials.ghost });
     this.probe = new Bodies(arm, this.materials);
     this.ghost.root.visible = false;
+    this.wanted = null;
     this.scene.add(this.bodies.root, this.ghost.root);
     this.paint();
     this.look();
