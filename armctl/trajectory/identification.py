@@ -43,7 +43,7 @@ FEWEST, MOST, STAND, SETTLES = 40, 20_000, 15, 8
 # Gravity that pushes a shaft to an end of its play [N m], and what of its friction may turn its motor.
 PUSHES_NM, TURNS = 0.02, 0.75
 # The least standard deviations: friction, speed, slope (shares), play [deg], delay [s].
-FLOOR = {"friction": 0.04, "speed": 0.06, "play": 0.02, "delay": 0.0015, "jump": 0.003, "slope": 0.02}
+FLOOR = {"friction": 0.08, "speed": 0.06, "play": 0.02, "delay": 0.0015, "jump": 0.003, "slope": 0.02}
 QUANTITIES = ("coulomb_Nm", "stiction_ratio", "slope_tick", "punch", "play_deg", "delay_ms")
 
 
