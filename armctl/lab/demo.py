@@ -346,13 +346,6 @@ def start(
 
 
 @contextmanager
-def program(log: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
-    """As `started`, without what it said."""
-    with started(log, *arguments) as (process, _):
-        yield process
-
-
-@contextmanager
 def started(log: Path, *arguments: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """Start an armctl program and wait until it says `ready`, and what is; it is ended on leaving.
 

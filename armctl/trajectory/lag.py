@@ -63,20 +63,15 @@ def lags_rad(
     return found
 
 
-def directions(q: FloatArray, before: FloatArray) -> FloatArray:
+def sides(q: FloatArray, side: Sequence[float]) -> FloatArray:
     """On which side friction pushes along a motion.
 
     Args:
         q: Joint positions [rad], shape (m, n).
-        before: How each joint came to the first one: displacement [rad], shape (n,).
+        side: Where it pushes at the begin, shape (n,).
     Returns:
         h, shape (m, n).
     """
-    return sides(q, [side_after(0.0, float(way)) for way in before])
-
-
-def sides(q: FloatArray, side: Sequence[float]) -> FloatArray:
-    """The same of a motion at the begin of which it pushes on these sides, shape (n,)."""
     h = [side]
     for step in np.diff(q, axis=0).tolist():
         h.append([side_after(last, way) for last, way in zip(h[-1], step, strict=True)])
@@ -88,7 +83,7 @@ def regressors(chain: SerialChain, q: FloatArray, before: FloatArray, period_s: 
 
     Args:
         q: Joint positions the arm is to have [rad], shape (m, n).
-        before: As `directions`.
+        before: How each joint came to the first one: displacement [rad], shape (n,).
     Returns:
         Shape (n, m, n + 3): reach of each link [m] (0 upstream), h, velocity [rad/s], 1.
     """
@@ -101,7 +96,7 @@ def regressors(chain: SerialChain, q: FloatArray, before: FloatArray, period_s: 
     for i in range(n):
         z = axes[:, i, :3, 2]
         X[i, :, i:n] = z[:, None, 0] * links[:, i:, 1] - z[:, None, 1] * links[:, i:, 0]
-    X[:, :, n] = directions(q, before).T
+    X[:, :, n] = sides(q, [side_after(0.0, float(way)) for way in before]).T
     X[:, :, n + 1] = np.gradient(q, period_s, axis=0).T
     X[:, :, n + 2] = 1.0
     return X

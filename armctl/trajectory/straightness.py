@@ -47,11 +47,6 @@ def mean_error(points: FloatArray, A: FloatArray, B: FloatArray) -> FloatArray:
     return np.asarray(distance_to_line(points, A, B).mean(axis=-1))
 
 
-def max_error(points: FloatArray, A: FloatArray, B: FloatArray) -> FloatArray:
-    """Largest distance of each path to the line AB [m]; shapes and errors as `mean_error`."""
-    return np.asarray(distance_to_line(points, A, B).max(axis=-1))
-
-
 def errors_mm(points: FloatArray, A: FloatArray, B: FloatArray) -> tuple[float, float]:
     """Mean (eq. 20) and largest distance of a path, shape (m, 3) [m], from the line AB [mm]; errors as `mean_error`."""
     distance_m = distance_to_line(points, A, B)

@@ -19,7 +19,7 @@ from armctl.commissioning.calibration import Readings, Touch, calibration_text, 
 from armctl.config import ArmConfig
 from armctl.dynamixel import ax12a
 from armctl.files import find_arm_file, load_arm
-from armctl.lab.demo import program
+from armctl.lab.demo import started
 from tests.cli.conftest import Answer, Typed, refusals
 from tests.commissioning.bench import EXACT, Bench, PosingHand, planted, postures, touch_points
 from tests.paired import paired_arm
@@ -353,7 +353,7 @@ def test_a_report_holds_every_part_even_where_nothing_runs(tmp_path: Path, answe
 @pytest.mark.pty
 def test_scan_and_a_change_of_baud_on_a_real_terminal(tmp_path: Path, answer: Answer) -> None:
     link = tmp_path / "servos"
-    with program(tmp_path / "log", "sim", "--link", str(link)):
+    with started(tmp_path / "log", "sim", "--link", str(link)):
         assert [servo["id"] for servo in answer("scan", "--port", link)["servos"]] == [1, 2, 3, 4, 5, 6]
         answer("servo", "set-baud", "3", "57600", "--port", link)
         answer("servo", "set-baud", "3", "1000000", "--baud", "57600", "--port", link)
@@ -362,7 +362,7 @@ def test_scan_and_a_change_of_baud_on_a_real_terminal(tmp_path: Path, answer: An
 @pytest.mark.pty
 def test_simulated_servos_of_the_factory_fail_the_doctor_and_are_mended_at_once(tmp_path: Path, answer: Answer) -> None:
     link = tmp_path / "servos"
-    with program(tmp_path / "log", "sim", "--link", str(link), "--factory", "--return-delay-us", "0"):
+    with started(tmp_path / "log", "sim", "--link", str(link), "--factory", "--return-delay-us", "0"):
         fix = fixes(answer("doctor", "--port", link, status=1))["angle_limits"]
         assert fix == f"armctl servo mend 6 --port {link}"
         assert len(answer("servo", "mend", "all", "--port", link)["mended"]) == 12
@@ -372,7 +372,7 @@ def test_simulated_servos_of_the_factory_fail_the_doctor_and_are_mended_at_once(
 @pytest.mark.pty
 def test_doctor_on_a_slow_terminal_with_a_wrong_id_names_all_three(tmp_path: Path, answer: Answer) -> None:
     link = tmp_path / "servos"
-    with program(tmp_path / "log", "sim", "--link", str(link), "--latency-ms", "16"):
+    with started(tmp_path / "log", "sim", "--link", str(link), "--latency-ms", "16"):
         answer("servo", "set-id", "4", "9", "--port", link)
         bad = fixes(answer("doctor", "--port", link, status=1))
     assert bad.keys() == TROUBLES

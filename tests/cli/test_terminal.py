@@ -14,7 +14,7 @@ import pytest
 import yaml
 
 from armctl.client import Client
-from armctl.lab.demo import program
+from armctl.lab.demo import started
 from proving.hang import CENTRE_DEG
 from proving.rig import hold
 from tests.terminal import CTRL_C, CTRL_Z, PATIENCE_S, Shell, Terminal, shell, terminal
@@ -38,8 +38,8 @@ def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         for name in ("NO_COLOR", "FORCE_COLOR", "COLUMNS"):
             patch.delenv(name, raising=False)
         patch.setenv("TERM", "xterm-256color")
-        cleanup.enter_context(program(folder / "sim.log", "sim", "--link", str(folder / "servos"), "--seed", "2"))
-        cleanup.enter_context(program(folder / "daemon.log", "daemon", "--port", str(folder / "servos")))
+        cleanup.enter_context(started(folder / "sim.log", "sim", "--link", str(folder / "servos"), "--seed", "2"))
+        cleanup.enter_context(started(folder / "daemon.log", "daemon", "--port", str(folder / "servos")))
         yield folder / "daemon.sock"
 
 

@@ -25,7 +25,7 @@ from armctl.cli.processes import DEFAULT_LINK
 from armctl.client import Client
 from armctl.control.faults import CODES, FAULTS
 from armctl.files import load_arm
-from armctl.lab.demo import program
+from armctl.lab.demo import started
 from tests.terminal import CTRL_C, PATH, free_port, shell
 
 BLOCK = re.compile(r"^```(\w+)?( \w+)?\n(.*?)^```", re.MULTILINE | re.DOTALL)
@@ -59,9 +59,9 @@ class Stand:
         self.programs.close()
         log = self.folder / "programs.log"
         if what in ("port", "daemon", "web"):
-            self.programs.enter_context(program(log, "sim", "--link", str(self.port), "--seed", "2"))
+            self.programs.enter_context(started(log, "sim", "--link", str(self.port), "--seed", "2"))
         if what in ("daemon", "web"):
-            self.programs.enter_context(program(log, "daemon", "--port", str(self.port)))
+            self.programs.enter_context(started(log, "daemon", "--port", str(self.port)))
         if what == "web":
             self._serve(log)
         self.running = what

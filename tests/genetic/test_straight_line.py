@@ -21,7 +21,7 @@ from armctl.kinematics.transform import FloatArray, IntArray
 from armctl.trajectory.interpolate import Interpolation
 from armctl.trajectory.placement import POWER, Objective
 from armctl.trajectory.plan import plan_from_text, plan_to_text, preflight
-from armctl.trajectory.straightness import distance_to_line, max_error, mean_error
+from armctl.trajectory.straightness import distance_to_line, errors_mm, mean_error
 from armctl.trajectory.via_points import predict_tool_path
 from tests.genetic import hand
 from tests.host.doubles import refused
@@ -119,7 +119,7 @@ def test_a_path_is_made_of_recorded_genes_and_holds_both_ends(five: StraightLine
         assert np.array_equal(path.tool_m, tool_position(ROBOT.chain, path.positions_rad[:, :5]))
         np.testing.assert_allclose(path.tool_m[[0, -1]], [hand.A, hand.B], atol=1e-8)
         assert path.mean_error_mm == pytest.approx(float(mean_error(path.tool_m, hand.A, hand.B)) * 1e3)
-        assert path.max_error_mm == pytest.approx(float(max_error(path.tool_m, hand.A, hand.B)) * 1e3)
+        assert path.max_error_mm == pytest.approx(errors_mm(path.tool_m, hand.A, hand.B)[1])
         assert path.cost_mm == pytest.approx(path.mean_error_mm)  # no charges: it is feasible
 
 
@@ -137,7 +137,7 @@ def test_plans_begin_on_A_end_on_B_and_predict_what_they_simulate(five: Straight
         np.testing.assert_allclose(ends, [hand.A, hand.B], atol=1e-8)
         np.testing.assert_allclose(tool[[0, -1]], ends, atol=1e-12)
         assert plan.predicted_mean_error_mm == pytest.approx(float(mean_error(tool, hand.A, hand.B)) * 1e3)
-        assert plan.predicted_max_error_mm == pytest.approx(float(max_error(tool, hand.A, hand.B)) * 1e3)
+        assert plan.predicted_max_error_mm == pytest.approx(errors_mm(tool, hand.A, hand.B)[1])
         assert plan_from_text(plan_to_text(plan), "line.plan") == plan
 
 

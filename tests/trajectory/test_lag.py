@@ -10,7 +10,6 @@ from armctl.kinematics.chain import link_frames
 from armctl.trajectory.lag import (
     SERVO_KG,
     TOOL_KG,
-    directions,
     fitted,
     heaviest_rad,
     lags_rad,
@@ -18,6 +17,7 @@ from armctl.trajectory.lag import (
     predict,
     regressors,
     side_after,
+    sides,
     summary,
 )
 from tests.genetic import hand
@@ -48,16 +48,16 @@ def test_coefficients_are_found_again_in_what_they_make(seed: int) -> None:
 
 def test_friction_keeps_its_side_at_rest_and_turns_over_within_a_tick() -> None:
     q = np.concatenate([np.linspace(0.0, 0.1, 11), np.full(5, 0.1), np.linspace(0.1, 0.0, 11)])[:, None]
-    h = directions(q, np.array([0.0]))[:, 0]
+    h = sides(q, [0.0])[:, 0]
     assert h[0] == 0.0
     assert h[5] > 0.99
     assert (h[10:16] > 0.99).all()
     assert h[-1] < -0.99
-    np.testing.assert_array_equal(directions(-q, np.array([0.0]))[:, 0], -h)
+    np.testing.assert_array_equal(sides(-q, [0.0])[:, 0], -h)
 
 
 def test_a_joint_that_came_from_one_side_begins_with_friction_on_it() -> None:
-    assert directions(np.zeros((2, 1)), np.array([-0.05]))[0, 0] == pytest.approx(-1.0, abs=2e-3)
+    assert sides(np.zeros((2, 1)), [side_after(0.0, -0.05)])[0, 0] == pytest.approx(-1.0, abs=2e-3)
 
 
 def potential_J(q: np.ndarray) -> float:
@@ -91,9 +91,10 @@ def test_what_the_control_step_foresees_is_what_the_fit_explains(seed: int) -> N
     q, before = motion(rng), rng.uniform(-0.05, 0.05, 5)
     model = nominal(ARM, CHAIN)
     model = replace(model, rows=tuple(tuple(g * rng.uniform(0.5, 1.5) for g in row) for row in model.rows))
-    sides, velocities = directions(q, before), np.gradient(q, PERIOD_S, axis=0)
+    pushed = sides(q, [side_after(0.0, float(way)) for way in before])
+    velocities = np.gradient(q, PERIOD_S, axis=0)
     foreseen = [
-        lags_rad(model, CHAIN, *some) for some in zip(q.tolist(), sides.tolist(), velocities.tolist(), strict=True)
+        lags_rad(model, CHAIN, *some) for some in zip(q.tolist(), pushed.tolist(), velocities.tolist(), strict=True)
     ]
     np.testing.assert_allclose(foreseen, predict(model, regressors(CHAIN, q, before, PERIOD_S)), atol=1e-12)
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from armctl.dynamixel.ax12a import TICK_RAD
 from armctl.messages import LagModel
-from armctl.trajectory.lag import directions, nominal, predict, regressors
+from armctl.trajectory.lag import nominal, predict, regressors, sides
 from armctl.trajectory.learning import (
     FEWEST,
     KEPT,
@@ -166,7 +166,7 @@ def test_goals_at_rest_say_from_which_side_the_joint_came_and_teach_nothing() ->
     }
     longer["due_s"] = (1.0 + np.arange(TICKS + more)) * PERIOD_S
     longer["read_s"] = np.tile(longer["due_s"][:, None], (1, 5))
-    way = -np.sign(directions(seen.wanted_rad, np.zeros(5))[-1, 2])
+    way = -np.sign(sides(seen.wanted_rad, [0.0] * 5)[-1, 2])
     longer["goals_rad"][-3:, 2] += way * TICK_RAD
     rested, after = sums_of(CHAIN, Seen(**longer), None, PERIOD_S)
     assert after.side[2] == way == -np.sign(stand.side[2])

@@ -7,7 +7,7 @@ import pytest
 import yaml
 from playwright.sync_api import Page, expect, sync_playwright
 
-from armctl.lab.demo import program
+from armctl.lab.demo import started
 from proving.dashboard import pages
 from tests.web.test_dashboard import CHROMIUM, PATIENCE_MS, pytestmark
 
@@ -29,7 +29,7 @@ def unserved(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
     (folder / "logs").mkdir()
     common = ("--config", str(config), "--socket", str(folder / "daemon.sock"))
     with (
-        program(folder / "simulator.log", "sim", "--link", str(servos)),
+        started(folder / "simulator.log", "sim", "--link", str(servos)),
         pages(folder / "web.log", *common, own=folder / "own") as (_, port, token),
         sync_playwright() as playwright,
     ):

@@ -26,7 +26,7 @@ from armctl.dynamixel.bus import ServoBus
 from armctl.dynamixel.packet import BITS_PER_BYTE, BROADCAST_ID, Instruction, encode_instruction
 from armctl.dynamixel.serial_port import SerialPort
 from armctl.files import load_arm
-from armctl.lab.demo import program
+from armctl.lab.demo import started
 from armctl.messages import Goal
 from proving.figures import check, row
 from proving.rig import ARM
@@ -102,7 +102,7 @@ def _measure(seed: int, delay_us: int, cycles: int, rounds: int) -> dict[str, tu
     with tempfile.TemporaryDirectory(prefix="armctl-") as name:
         port = Path(name) / "servos"
         options = ("--link", str(port), "--seed", str(seed), "--return-delay-us", str(delay_us))
-        with program(Path(name) / "simulator.log", "sim", *options):
+        with started(Path(name) / "simulator.log", "sim", *options):
             goal = _still(str(port), servo_ids)
             for _ in range(rounds):
                 for make in (_armctl, _raw_full, _armctl_short, _raw_short, _sdk_full, _sdk_short, _pypot):

@@ -12,7 +12,7 @@ from pathlib import Path
 import yaml
 
 from armctl.errors import ArmctlError
-from armctl.lab.demo import program
+from armctl.lab.demo import started
 from proving.rig import ARM
 
 STOP_S = 10.0
@@ -47,8 +47,8 @@ def dashboard(folder: Path, seed: int) -> Iterator[Dashboard]:
     config.write_text(yaml.safe_dump({"port": str(servos), "arm": ARM, "data_dir": str(folder)}), encoding="utf-8")
     common = ("--config", str(config), "--socket", str(path))
     with contextlib.ExitStack() as cleanup:
-        cleanup.enter_context(program(folder / "simulator.log", "sim", "--link", str(servos), "--seed", str(seed)))
-        daemon = cleanup.enter_context(program(folder / "daemon.log", "daemon", *common))
+        cleanup.enter_context(started(folder / "simulator.log", "sim", "--link", str(servos), "--seed", str(seed)))
+        daemon, _ = cleanup.enter_context(started(folder / "daemon.log", "daemon", *common))
         web, port, token = cleanup.enter_context(pages(folder / "web.log", *common))
         yield Dashboard(folder, path, daemon, web, port, token, folder / "web.log")
 

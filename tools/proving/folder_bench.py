@@ -21,7 +21,7 @@ from unittest import mock
 
 from armctl.clock import NS_PER_S
 from armctl.config import LogConfig
-from armctl.lab.demo import program, started
+from armctl.lab.demo import started
 from armctl.recording.disk import PART
 from armctl.recording.quota import Retention
 from proving.figures import Row, check, row
@@ -92,7 +92,7 @@ def _ready_s(folder: Path, seed: int, ticks: int, wrong: list[str]) -> float:
     data, best_s = hour.read_bytes(), float("inf")
     places = {f"XDG_{kind}_HOME": str(folder / kind) for kind in ("DATA", "CONFIG", "CACHE")}
     with installed(folder / "bytecode"), mock.patch.dict(os.environ, places), contextlib.ExitStack() as running:
-        running.enter_context(program(words, "sim", "--link", str(port), "--seed", str(seed)))
+        running.enter_context(started(words, "sim", "--link", str(port), "--seed", str(seed)))
         for number in range(STARTS):
             logs = folder / f"crashed-{number}"
             logs.mkdir()

@@ -21,7 +21,7 @@ from armctl.control.link import StartFailed
 from armctl.control.process import ControlProcess, ControlSettings
 from armctl.errors import ArmctlError
 from armctl.files import load_arm
-from armctl.lab.demo import program
+from armctl.lab.demo import started
 from armctl.messages import TickRecord
 from proving.figures import check, row
 from proving.rig import ARM, rig
@@ -73,7 +73,7 @@ def lateness_ms(seed: int, period_s: float, seconds: float, hogs: int) -> list[f
     with tempfile.TemporaryDirectory(prefix="armctl-") as name:
         port = Path(name) / "servos"
         options = ("--link", str(port), "--seed", str(seed), "--return-delay-us", "0")
-        with program(Path(name) / "simulator.log", "sim", *options):
+        with started(Path(name) / "simulator.log", "sim", *options):
             with socket.socket(socket.AF_UNIX) as lane:
                 lane.bind("")
                 lane.listen()

@@ -46,7 +46,7 @@ from armctl.errors import ArmctlError
 from armctl.files import load_arm
 from armctl.kinematics import robots
 from armctl.kinematics.transform import FloatArray
-from armctl.lab.demo import program
+from armctl.lab.demo import started
 from armctl.sim.control import SimulatorClient, control_path
 from armctl.trajectory.plan import Plan, joint_trajectory, preflight
 from proving.rig import ARM, KernelWatch, OtherWork, hold, installed, waited_s
@@ -105,7 +105,7 @@ def prove(seed: int, runs: int = RUNS, tell: Callable[[str], None] = lambda _: N
         folder = Path(name)
         port = folder / "servos"
         cleanup.enter_context(installed(folder / "bytecode"))
-        cleanup.enter_context(program(folder / "simulator.log", "sim", "--link", str(port), "--seed", str(seed)))
+        cleanup.enter_context(started(folder / "simulator.log", "sim", "--link", str(port), "--seed", str(seed)))
         simulator = cleanup.enter_context(SimulatorClient(control_path(port)))
         kernel = KernelWatch()
         cleanup.callback(kernel.close)
@@ -206,7 +206,7 @@ class _Bench:
     def start(self) -> None:
         """Start a daemon; returns when it serves."""
         command = ("daemon", "--config", str(self._config), "--socket", str(self.socket))
-        self.host_pid = self._daemon.enter_context(program(self.folder / "daemon.log", *command)).pid
+        self.host_pid = self._daemon.enter_context(started(self.folder / "daemon.log", *command))[0].pid
 
     def end(self) -> None:
         self._daemon.close()

@@ -38,7 +38,7 @@ import yaml
 
 from armctl.client import Client
 from armctl.errors import ArmctlError
-from armctl.lab.demo import program
+from armctl.lab.demo import started
 from armctl.sim.control import SimulatorClient, control_path
 from proving.crowd import STOP_EVERY_S, Place, Stopped
 from proving.dashboard import dashboard, pages
@@ -153,7 +153,7 @@ def journey(seed: int, arm: str, line: tuple[str, str], size: str) -> dict[str, 
         servos, config = folder / "servos", folder / "armctl.yaml"
         config.write_text(yaml.safe_dump({"port": str(servos), "data_dir": str(folder)}), encoding="utf-8")
         simulator = ("sim", "--arm", arm, "--link", str(servos), "--seed", str(seed))
-        cleanup.enter_context(program(folder / "simulator.log", *simulator))
+        cleanup.enter_context(started(folder / "simulator.log", *simulator))
         common = ("--config", str(config), "--socket", str(folder / "daemon.sock"))
         _, port, token = cleanup.enter_context(pages(folder / "web.log", *common, own=folder / "own"))
         page = cleanup.enter_context(browsed(size == "phone"))

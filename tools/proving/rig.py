@@ -18,7 +18,7 @@ from armctl.config import ArmConfig
 from armctl.dynamixel.kernel_worker import KernelWorker
 from armctl.errors import ArmctlError, RequestRefused
 from armctl.files import load_arm
-from armctl.lab.demo import program
+from armctl.lab.demo import started
 from armctl.sim.control import SimulatorClient, control_path
 
 ARM = "ax12-line"
@@ -236,14 +236,14 @@ def rig(
         cleanup.enter_context(installed(folder / "bytecode"))
         port, socket, config = folder / "servos", folder / "daemon.sock", folder / "armctl.yaml"
         config.write_text(yaml.safe_dump({"port": str(port), "arm": ARM, "data_dir": str(folder)}), encoding="utf-8")
-        servos = cleanup.enter_context(
-            program(folder / "simulator.log", "sim", "--link", str(port), "--seed", str(seed), *simulator_options)
+        servos, _ = cleanup.enter_context(
+            started(folder / "simulator.log", "sim", "--link", str(port), "--seed", str(seed), *simulator_options)
         )
         if before_daemon is not None:
             with SimulatorClient(control_path(port)) as simulator:
                 before_daemon(simulator, port)
-        daemon = cleanup.enter_context(
-            program(folder / "daemon.log", "daemon", "--config", str(config), "--socket", str(socket))
+        daemon, _ = cleanup.enter_context(
+            started(folder / "daemon.log", "daemon", "--config", str(config), "--socket", str(socket))
         )
         running = Rig(socket, port, daemon.pid, servos.pid)
         cleanup.callback(running.close)

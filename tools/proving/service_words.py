@@ -21,7 +21,7 @@ from typing import Any
 
 from armctl.commissioning.installation import TEMPLATE_PREFIX, UNITS, template
 from armctl.errors import ArmctlError
-from armctl.lab.demo import program
+from armctl.lab.demo import started
 
 EXPOSURE = {"armctl.service": 0.9, "armctl-web.service": 1.1}
 # WatchdogSec of the unit.
@@ -99,7 +99,7 @@ def protocol(seed: int) -> Iterator[dict[str, Any]]:
         notify = NotifySocket(folder / "notify")
         cleanup.callback(notify.close)
         port, log = folder / "servos", folder / "programs.log"
-        cleanup.enter_context(program(log, "sim", "--link", str(port), "--seed", str(seed)))
+        cleanup.enter_context(started(log, "sim", "--link", str(port), "--seed", str(seed)))
         environment = {
             **os.environ,
             "NOTIFY_SOCKET": str(notify.path),

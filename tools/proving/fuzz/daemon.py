@@ -20,7 +20,7 @@ from armctl.host.host import Host
 from armctl.host.jobs import OptimizeJob, Progress
 from armctl.host.methods import Methods
 from armctl.host.server import Method, Server
-from armctl.lab.demo import program
+from armctl.lab.demo import started
 from armctl.messages import Command, TickRecord
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.virtual_arm import VirtualArm
@@ -234,10 +234,10 @@ def on_socket(seed: int, count: int, tally: Tally, folder: Path) -> None:
     takes = Takes(folder / "template", folder / "recordings")
     with contextlib.ExitStack() as cleanup:
         cleanup.enter_context(
-            program(folder / "simulator.log", "sim", "--arm", str(arm), "--link", str(port), "--seed", str(seed))
+            started(folder / "simulator.log", "sim", "--arm", str(arm), "--link", str(port), "--seed", str(seed))
         )
         command = ("daemon", "--config", str(config), "--socket", str(path))
-        daemon = cleanup.enter_context(program(folder / "daemon.log", *command))
+        daemon, _ = cleanup.enter_context(started(folder / "daemon.log", *command))
         asyncio.run(_ask_daemon(seed, count, tally, path, daemon.pid, takes))
         if daemon.poll() is not None:
             tally.violation(f"the daemon ended with status {daemon.poll()}")
