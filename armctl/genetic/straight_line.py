@@ -219,7 +219,7 @@ class _Line:
             single = Candidates(progress, q[None], tool_position(chain, q)[None], np.zeros((1, 2), dtype=np.intp))
             return float(self.cost(single, self._request.duration_s).breaks.sum())
 
-        q = free_path(chain, found.positions_rad[:, :n], progress, *self._ends, self._limits, breaks)
+        q = free_path(chain, found.positions_rad[:, :n], progress, self._ends, self._limits, breaks)
         tool = tool_position(chain, q)
         return FreePath(
             *errors_mm(tool, *self._ends),
@@ -232,7 +232,7 @@ class _Line:
     def plan(self, path: FloatArray, progress: FloatArray, count: int) -> Plan:
         """The plan with `count` via points through a path, joint positions [rad] of shape (m, joints)."""
         chain, n, request, interpolation = self._chain, self._chain.n, self._request, self._request.interpolation
-        kept = [0, *choose_via_points(chain, path[:, :n], progress, count, interpolation, *self._ends), len(path) - 1]
+        kept = [0, *choose_via_points(chain, path[:, :n], progress, count, interpolation, self._ends), len(path) - 1]
         waypoints, knots = path[kept], progress[kept]
         tool_m = predict_tool_path(chain, waypoints[:, :n], knots, interpolation)
         if request.free and count > 0:

@@ -6,7 +6,7 @@ last is then run `repeats` times anew: those runs are the experiment's rows, so 
 """
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -36,7 +36,7 @@ from armctl.sim.arm import SimulatedArm
 from armctl.sim.spec import RANDOM_SPEC, put_together
 from armctl.sim.twin import Twin
 from armctl.trajectory.approach import approach_trajectory
-from armctl.trajectory.course import Line
+from armctl.trajectory.course import Course, Line
 from armctl.trajectory.interpolate import columns_at
 from armctl.trajectory.line_path import line_paths, onto
 from armctl.trajectory.placement import Objective
@@ -84,6 +84,7 @@ class Asked(Wanted):
     """What one call of `armctl experiment line` asks for."""
 
     recordings: tuple[str, ...]
+    # "paper": the paper's operators and order, its genes are recorded ones and stay so.
     profile: Profile
     # An external measurement of the tool, and the recording of the run it was made during.
     measured: tuple[Path, str] | None
@@ -144,10 +145,10 @@ def _report(
     """Run the experiment; its JSON, and its page where one is asked for."""
     ways, ga = drawn_ways(rig, line, asked.seed), None
     if takes:
-        ga, path = genetic(takes, rig, line, asked.via, asked.seed, asked.profile)
+        ga, path = genetic(takes, rig, line, asked)
         if asked.recordings:
             ways = _held_as_taught(rig, line, path, ways)
-    outcomes = experiment(rig, line, asked.via, asked, model, stage, ways)
+    outcomes = experiment(rig, line, asked.via, asked, model, ways, stage)
     if asked.report is not None:
         page.write(
             ExperimentReport(
@@ -170,30 +171,22 @@ def _report(
 
 
 def experiment(
-    rig: Rig,
-    line: Line,
-    via: Sequence[Via],
-    budget: Budget,
-    model: LagModel | None,
-    stage: Stage = silent,
-    ways: FloatArray | None = None,
+    rig: Rig, line: Line, via: Sequence[Via], budget: Budget, model: LagModel | None, ways: FloatArray, stage: Stage
 ) -> list[Outcome]:
     """One outcome for each entry of `via`, in order.
 
     Args:
-        ways: Joint positions along the line [rad], shape (ways, stations, n); None: they are drawn by the seed.
+        ways: Joint positions along the line [rad], shape (ways, stations, n), such as `drawn_ways`.
     Raises:
         RequestRefused: the line cannot be followed, or the arm stopped.
     """
-    if ways is None:
-        ways = drawn_ways(rig, line, budget.seed)
     outcomes = []
     for wanted in via:
         count = choose_via(rig, line, ways, budget.tolerance_mm) if wanted == "auto" else wanted
         points = None if count == "stream" else int(count)
         label = f"via {wanted}" if wanted != "auto" else f"via auto: {count}"
         with stage(label, 1 + budget.rounds + budget.repeats) as show:
-            done = run_rounds(rig, line, points, budget, model, ways, show)
+            done = run_rounds(rig, courses(rig, line, points, ways), budget, model, show)
             best = best_of(done)
             runs = []
             for repeat in range(1, budget.repeats + 1):
@@ -204,21 +197,15 @@ def experiment(
 
 
 def run_rounds(
-    rig: Rig,
-    line: Line,
-    via: int | None,
-    budget: Budget,
-    model: LagModel | None,
-    ways: FloatArray,
-    show: Progress = lambda _done, _note: None,
+    rig: Rig, offered: Iterable[Course], budget: Budget, model: LagModel | None, show: Progress
 ) -> list[Round]:
-    """Round 0 and the corrected ones; via None is a goal every tick."""
+    """Round 0, of the first of the courses that may run, and the corrected ones."""
 
     def tell(done: Round) -> None:
         show(done.number + 1, f"round {done.number}: {done.filtered_mm:.2f} mm")
 
     rounds, seed = budget.rounds, budget.seed
-    before = correction.first_run(rig, courses(rig, line, via, ways), model, seed, corrected=False)
+    before = correction.first_run(rig, offered, model, seed, corrected=False)
     tell(before)
     if rounds == 0:
         return [replace(before, kept=True)]
@@ -254,7 +241,7 @@ def drawn_ways(rig: Rig, line: Line, seed: int) -> FloatArray:
         RequestRefused: the line cannot be followed.
     """
     rng = np.random.default_rng(seed)
-    return line_paths(rig.arm, rig.robot, line.A, line.B, line.duration_s, rng, most=course.DRAWN_WAYS)
+    return line_paths(rig, line, rng, most=course.DRAWN_WAYS)
 
 
 def _held_as_taught(rig: Rig, line: Line, path: FloatArray, ways: FloatArray) -> FloatArray:
@@ -284,23 +271,19 @@ def choose_via(rig: Rig, line: Line, ways: FloatArray, tolerance_mm: float) -> i
     return AUTO_VIA[-1]
 
 
-def genetic(
-    takes: Sequence[FloatArray], rig: Rig, line: Line, via: Sequence[Via], seed: int, profile: Profile = "default"
-) -> tuple[dict[str, Any], FloatArray]:
+def genetic(takes: Sequence[FloatArray], rig: Rig, line: Line, asked: Asked) -> tuple[dict[str, Any], FloatArray]:
     """What the genetic algorithm makes of recorded candidates, and its path [rad], shape (stations, n).
 
-    Args:
-        profile: "paper": the paper's operators and order, its genes are recorded ones and stay so.
     Raises:
         RequestRefused: the recordings are unfit; every reason.
     """
-    counts = tuple(sorted({count for count in via if isinstance(count, int)}))
-    settings, free = PROFILES[profile], profile == "default"
-    request = request_of(line, seed, via=counts, settings=settings, objective="mean", free=free)
+    counts = tuple(sorted({count for count in asked.via if isinstance(count, int)}))
+    settings, free = PROFILES[asked.profile], asked.profile == "default"
+    request = request_of(line, asked.seed, via=counts, settings=settings, objective="mean", free=free)
     result = optimize(takes, rig.arm, rig.robot, request)
     ga, exact = result.ga, result.exact
     return {
-        "profile": profile,
+        "profile": asked.profile,
         "mean_error_mm": ga.path.mean_error_mm,
         "max_error_mm": ga.path.max_error_mm,
         "generations": ga.generations,

@@ -70,11 +70,11 @@ def identify(rig: Rig, rng: np.random.Generator, show: Callable[[int], None] = l
     for _ in range(MOST_TRIES):
         if len(seen) == LINES:
             break
-        A, B = random_line(rig, rng)
+        line = Line(*random_line(rig, rng), DURATION_S)
         try:
-            ways = line_paths(rig.arm, rig.robot, A, B, DURATION_S, rng, most=DRAWN_WAYS)
+            ways = line_paths(rig, line, rng, most=DRAWN_WAYS)
             way = ways[int(rng.integers(len(ways)))]
-            course = next(courses(rig, Line(A, B, DURATION_S), None, way[None]))
+            course = next(courses(rig, line, None, way[None]))
             plan = plan_of(rig, course, 0)
             if heavy := too_heavy(rig, None, plan):
                 why = heavy

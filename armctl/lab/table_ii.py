@@ -79,8 +79,7 @@ def through_points(rig: VirtualRig, case: Case) -> Plan:
     """A plan that passes the case's points on the line, joints interpolated linearly in between."""
     (via,) = case.via
     assert isinstance(via, int)
-    line, rng = case.line, np.random.default_rng(case.seed)
-    way = line_paths(case.arm, rig.robot, line.A, line.B, case.duration_s, rng, most=1)[0]
+    way = line_paths(rig, case.line, np.random.default_rng(case.seed), most=1)[0]
     knots = np.linspace(0.0, 1.0, via + 2)
     waypoints = np.tile([joint.rest_rad for joint in case.arm.joints], (len(knots), 1))
     waypoints[:, : rig.robot.chain.n] = joint_path(way, np.linspace(0.0, 1.0, len(way)), knots, "cubic")

@@ -17,9 +17,10 @@ import numpy as np
 from armctl.config import ArmConfig
 from armctl.errors import RequestRefused
 from armctl.kinematics.chain import SerialChain, jacobian, link_frames, tool_position
-from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
+from armctl.trajectory.course import Line
 from armctl.trajectory.interpolate import PEAK_SPEED
+from armctl.trajectory.preflight import Driven
 
 STATIONS = 41
 # How many postures are drawn at each end, and how many pairs of them are tried.
@@ -39,29 +40,19 @@ DAMPING_M2 = 1e-6
 FLOOR_MARGIN_M = 0.003
 
 
-def line_paths(
-    arm: ArmConfig,
-    robot: Robot,
-    A: FloatArray,
-    B: FloatArray,
-    duration_s: float,
-    rng: np.random.Generator,
-    *,
-    most: int,
-) -> FloatArray:
-    """Ways of the joints along AB at `STATIONS` even stations, the most promising first.
+def line_paths(on: Driven, line: Line, rng: np.random.Generator, *, most: int) -> FloatArray:
+    """Ways of the joints along a line at `STATIONS` even stations, the most promising first.
 
     Args:
-        A, B: Ends of the line [m], shape (3,).
         most: How many at most.
     Returns:
         Joint positions [rad], shape (ways, STATIONS, n) of the robot's n joints.
     Raises:
         RequestRefused: code LINE, there is none; the reasons say why and what would do.
     """
-    A, B = np.asarray(A, dtype=np.float64), np.asarray(B, dtype=np.float64)
+    A, B, duration_s = np.asarray(line.A, dtype=np.float64), np.asarray(line.B, dtype=np.float64), line.duration_s
     check_line(A, B, duration_s)
-    chain = robot.chain
+    arm, chain = on.arm, on.robot.chain
     limits = np.array([joint.limits_rad for joint in arm.joints[: chain.n]])
     limits = limits + np.array([MARGIN_RAD, -MARGIN_RAD])
     progress = np.linspace(0.0, 1.0, STATIONS)

@@ -7,6 +7,9 @@ import numpy as np
 
 from armctl.kinematics.transform import FloatArray
 
+# A and B of a line [m], each of shape (3,).
+Ends = tuple[FloatArray, FloatArray]
+
 
 def distance_to_line(points: FloatArray, A: FloatArray, B: FloatArray) -> FloatArray:
     """Distance of tool points to the line AB [m], |(P - A) x (P - B)| / |B - A| (eq. 19).

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from armctl.kinematics.chain import SerialChain, tool_position
 from armctl.kinematics.transform import FloatArray
 from armctl.trajectory.interpolate import Interpolation, joint_path, time_law
-from armctl.trajectory.straightness import mean_error
+from armctl.trajectory.straightness import Ends, mean_error
 
 # Tool points on a simulated motion.
 SAMPLES = 200
@@ -36,13 +36,7 @@ def predict_tool_path(chain: SerialChain, waypoints: FloatArray, knots: FloatArr
 
 
 def choose_via_points(
-    chain: SerialChain,
-    path: FloatArray,
-    progress: FloatArray,
-    count: int,
-    kind: Interpolation,
-    A: FloatArray,
-    B: FloatArray,
+    chain: SerialChain, path: FloatArray, progress: FloatArray, count: int, kind: Interpolation, ends: Ends
 ) -> tuple[int, ...]:
     """Indices of the `count` inner points of `path` whose interpolated motion has the least mean error.
 
@@ -50,7 +44,7 @@ def choose_via_points(
         path: Joint positions [rad], shape (m, n), n the chain's joints.
         progress: Progress of the points, shape (m,), strictly increasing.
         count: 0 <= count <= m - 2.
-        A, B: Ends of the line [m].
+        ends: A and B, of the line [m].
     Returns:
         Increasing indices into `path`, without the ends.
     Raises:
@@ -67,9 +61,9 @@ def choose_via_points(
         return float(errors[best]), tuple(indices[best].tolist())
 
     def simulate(indices: NDArray[np.intp]) -> FloatArray:
-        ends = np.zeros((len(indices), 1), dtype=np.intp)
-        kept = np.concatenate([ends, indices, ends + len(path) - 1], axis=1)
-        return mean_error(predict_tool_path(chain, path[kept], progress[kept], kind), A, B)
+        first = np.zeros((len(indices), 1), dtype=np.intp)
+        kept = np.concatenate([first, indices, first + len(path) - 1], axis=1)
+        return mean_error(predict_tool_path(chain, path[kept], progress[kept], kind), *ends)
 
     if count == 0:
         return ()

@@ -276,7 +276,7 @@ def wobbly(seed: int, wobble_rad: float) -> FloatArray:
 def freed(
     path: FloatArray, limits: FloatArray = LIMITS, breaks: Callable[[FloatArray], float] = lambda _: 0.0
 ) -> FloatArray:
-    return free_path(CHAIN, path, PROGRESS, hand.A, hand.B, limits, breaks)
+    return free_path(CHAIN, path, PROGRESS, (hand.A, hand.B), limits, breaks)
 
 
 def error_mm(path: FloatArray) -> float:

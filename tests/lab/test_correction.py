@@ -9,6 +9,7 @@ from armctl.lab.course import UNKNOWN_HEAVIEST_RAD, courses, too_heavy
 from armctl.lab.line_experiment import Budget, experiment, run_rounds
 from armctl.lab.line_results import true_mm
 from armctl.lab.rig import VirtualRig
+from armctl.lab.stage import silent
 from armctl.messages import LagModel
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.spec import RANDOM_SPEC
@@ -70,7 +71,7 @@ def test_a_stream_has_a_goal_for_every_tick_exactly(on: VirtualRig) -> None:
 
 
 def test_the_last_plan_that_was_kept_is_the_outcome_and_is_run_anew(on: VirtualRig) -> None:
-    (outcome,) = experiment(on, LINE, [1], Budget(rounds=2, repeats=2, seed=0), model(), ways=ways())
+    (outcome,) = experiment(on, LINE, [1], Budget(rounds=2, repeats=2, seed=0), model(), ways(), silent)
     assert [one.number for one in outcome.rounds] == [0, 1, 2]
     assert outcome.best is best_of(outcome.rounds)
     assert len(outcome.runs) == 2
@@ -78,7 +79,8 @@ def test_the_last_plan_that_was_kept_is_the_outcome_and_is_run_anew(on: VirtualR
 
 
 def test_a_model_that_does_harm_is_left_aside(on: VirtualRig) -> None:
-    rounds = run_rounds(on, LINE, None, Budget(rounds=3, repeats=0, seed=0), model(-1.0), ways())
+    offered, budget = courses(on, LINE, None, ways()), Budget(rounds=3, repeats=0, seed=0)
+    rounds = run_rounds(on, offered, budget, model(-1.0), lambda _done, _note: None)
     assert [one.number for one in rounds] == [0, 1, 2, 3]
     assert rounds[1].filtered_mm > rounds[0].filtered_mm
     assert [one.kept for one in rounds[:3]] == [True, False, True]

@@ -39,7 +39,7 @@ def on() -> VirtualRig:
 
 
 def plan(on: VirtualRig, via: int | None = 4) -> Plan:
-    ways = line_paths(on.arm, on.robot, LINE.A, LINE.B, LINE.duration_s, np.random.default_rng(0), most=12)
+    ways = line_paths(on, LINE, np.random.default_rng(0), most=12)
     return plan_of(on, next(courses(on, LINE, via, ways)), 0)
 
 

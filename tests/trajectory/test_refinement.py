@@ -17,6 +17,7 @@ from armctl.trajectory.course import Course, Line, bent, course_of, placed, plan
 from armctl.trajectory.interpolate import Interpolation, joint_path, time_law
 from armctl.trajectory.line_path import line_paths
 from armctl.trajectory.plan import Plan, plan_positions
+from armctl.trajectory.preflight import DrivenArm
 from armctl.trajectory.refinement import (
     DISAGREE,
     MOST_RUNS,
@@ -40,7 +41,7 @@ ROBOT = hand.robot()
 
 @cache
 def ways() -> np.ndarray:
-    return line_paths(hand.arm(), ROBOT, LINE.A, LINE.B, LINE.duration_s, np.random.default_rng(0), most=24)
+    return line_paths(DrivenArm(hand.arm(), ROBOT, 0.1), LINE, np.random.default_rng(0), most=24)
 
 
 class Scripted:
@@ -205,7 +206,7 @@ def test_a_joint_that_hardly_moves_is_led_elsewhere_as_a_whole_and_by_nothing_th
 ) -> None:
     """The base along a radial line: it stands off by a constant, and seems to swing."""
     line, on = Line(np.array([0.16, 0.0, 0.1]), np.array([0.24, 0.0, 0.1]), 5.0), Lagging()
-    [way] = line_paths(on.arm, ROBOT, line.A, line.B, 5.0, np.random.default_rng(0), most=1)
+    [way] = line_paths(on, line, np.random.default_rng(0), most=1)
     knots = progress_of_ticks(51) if via is None else np.linspace(0.0, 1.0, via + 2)
     course = placed(
         on,

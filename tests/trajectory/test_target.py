@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from armctl.errors import RequestRefused, UnreachableTarget
 from armctl.kinematics.chain import forward_kinematics, tool_position
 from armctl.kinematics.transform import FloatArray, pose_from_xyz_rpy
+from armctl.trajectory.course import Line
 from armctl.trajectory.line_path import MARGIN_RAD, STATIONS, levers_m, line_paths, onto, sensitivity_m
 from armctl.trajectory.preflight import DrivenArm
 from armctl.trajectory.target import postures_at
@@ -70,7 +71,7 @@ def test_a_pose_the_arm_cannot_take_says_how_far_off_it_stays() -> None:
 
 
 def ways(A: object, B: object, duration_s: float = 5.0, seed: int = 0) -> np.ndarray:
-    return line_paths(ARM, ROBOT, np.array(A), np.array(B), duration_s, np.random.default_rng(seed), most=40)
+    return line_paths(ON, Line(np.array(A), np.array(B), duration_s), np.random.default_rng(seed), most=40)
 
 
 @pytest.fixture(scope="module")

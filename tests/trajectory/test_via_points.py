@@ -32,7 +32,7 @@ def error_mm(indices: tuple[int, ...], kind: Interpolation) -> float:
 
 
 def chosen(count: int, kind: Interpolation, every: int = 1) -> tuple[int, ...]:
-    return choose_via_points(CHAIN, LINE[::every], PROGRESS[::every], count, kind, hand.A, hand.B)
+    return choose_via_points(CHAIN, LINE[::every], PROGRESS[::every], count, kind, (hand.A, hand.B))
 
 
 @pytest.mark.parametrize("kind", ["linear", "cubic"])

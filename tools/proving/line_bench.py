@@ -16,9 +16,11 @@ from armctl.kinematics import robots
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
+from armctl.trajectory.course import Line
 from armctl.trajectory.interpolate import Interpolation, joint_path
 from armctl.trajectory.line_path import line_paths
 from armctl.trajectory.placement import StraightMotion, place
+from armctl.trajectory.preflight import DrivenArm
 from armctl.trajectory.straightness import distance_to_line
 from armctl.trajectory.via_points import predict_tool_path
 from proving.figures import check, row
@@ -78,7 +80,7 @@ def _drawn(arm: ArmConfig, robot: Robot, rng: np.random.Generator) -> tuple[Floa
         middle = rng.uniform((0.10, -0.2, 0.05), (0.28, 0.2, 0.25))
         A, B = middle - half, middle + half
         try:
-            return A, B, line_paths(arm, robot, A, B, DURATION_S, rng, most=1)[0]
+            return A, B, line_paths(DrivenArm(arm, robot, 0.1), Line(A, B, DURATION_S), rng, most=1)[0]
         except RequestRefused:
             continue
 

@@ -14,10 +14,11 @@ from armctl.files import load_arm
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
 from armctl.lab.course import Via
-from armctl.lab.line_experiment import Budget, experiment
+from armctl.lab.line_experiment import Budget, drawn_ways, experiment
 from armctl.lab.line_results import true_mm, unseen_mm
 from armctl.lab.rig import VirtualRig
 from armctl.lab.sag_identification import identify, random_line
+from armctl.lab.stage import silent
 from armctl.lab.study.limits import tick_floor_mm
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.spec import RANDOM_SPEC, ArmSpec
@@ -60,7 +61,8 @@ def run(trial: Trial) -> dict[str, Any]:
         A, B = random_line(rig, rng, stretch=STRETCH)
         wanted = Line(A, B, DURATION_S)
         try:
-            outcomes = experiment(rig, wanted, trial.via, Budget(trial.rounds, 1, trial.seed), model)
+            ways = drawn_ways(rig, wanted, trial.seed)
+            outcomes = experiment(rig, wanted, trial.via, Budget(trial.rounds, 1, trial.seed), model, ways, silent)
             break
         except RequestRefused as refusal:
             if refusal.code not in REFUSED_LINES:

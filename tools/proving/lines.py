@@ -26,6 +26,7 @@ from armctl.errors import RequestRefused
 from armctl.lab import correction
 from armctl.lab.course import Via, courses
 from armctl.lab.line_experiment import Budget, drawn_ways, experiment
+from armctl.lab.stage import silent
 from armctl.messages import LagModel
 from armctl.trajectory.course import Line
 from proving.served_arm import ServedArm, identified
@@ -79,7 +80,7 @@ class Trial:
 
 def refine(rig: ServedArm, line: Line, via: Via, model: LagModel, seed: int) -> None:
     """Refine a line as the package has it done today; the last run is that of what came out."""
-    experiment(rig, line, (via,), Budget(ROUNDS, 1, seed), model)
+    experiment(rig, line, (via,), Budget(ROUNDS, 1, seed), model, drawn_ways(rig, line, seed), silent)
 
 
 def first(rig: ServedArm, line: Line, via: int, seed: int, model: LagModel) -> None:

@@ -12,8 +12,9 @@ import numpy as np
 from armctl.errors import RequestRefused
 from armctl.lab import line_results
 from armctl.lab.course import Via
-from armctl.lab.line_experiment import experiment, identified
+from armctl.lab.line_experiment import drawn_ways, experiment, identified
 from armctl.lab.rig import VirtualRig
+from armctl.lab.stage import silent
 from armctl.lab.study.case import Case, Found, Row
 from armctl.messages import LagModel
 
@@ -43,7 +44,8 @@ def _ran(case: Case, via: Via, rig: VirtualRig, model: LagModel | None) -> Row:
     if case.plan is not None:
         plan, runs = case.plan, [rig.run(case.plan)]
     else:
-        (outcome,) = experiment(rig, case.line, (via,), replace(case, repeats=1), model)
+        ways = drawn_ways(rig, case.line, case.seed)
+        (outcome,) = experiment(rig, case.line, (via,), replace(case, repeats=1), model, ways, silent)
         plan, runs, first = outcome.best.plan, outcome.runs, outcome.rounds[0]
         before = line_results.row(case.line, via, rig, first.plan, [first.measured])["truth"]
         corrected = {"before": before, "rounds": len(outcome.rounds) - 1}

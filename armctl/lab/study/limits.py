@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 
 from armctl.kinematics.chain import tool_position
-from armctl.lab.line_experiment import experiment, guided_takes, identified
+from armctl.lab.line_experiment import drawn_ways, experiment, guided_takes, identified
 from armctl.lab.line_results import drawn, unseen_mm
 from armctl.lab.rig import VirtualRig
+from armctl.lab.stage import silent
 from armctl.lab.study import pareto
 from armctl.lab.study.case import Case, Found, Row, all_rows
 from armctl.lab.study.workers import Workers
@@ -57,7 +58,8 @@ def run(case: Case) -> Found:
         RequestRefused: the line cannot be followed, or the arm stopped.
     """
     rig, line = case.rig(), case.line
-    outcomes = experiment(rig, line, case.via, case, identified(rig, case.rounds, case.seed))
+    model = identified(rig, case.rounds, case.seed)
+    outcomes = experiment(rig, line, case.via, case, model, drawn_ways(rig, line, case.seed), silent)
     shown = [drawn(rig, outcome) for outcome in outcomes]
     rows = []
     for outcome, paths in zip(outcomes, shown, strict=True):
