@@ -1,6 +1,6 @@
 """Plans run and corrected on a rig, by the rules of `trajectory/refinement.py`."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import replace
 
 from armctl.errors import RequestRefused
@@ -9,7 +9,7 @@ from armctl.lab.rig import Rig
 from armctl.messages import LagModel
 from armctl.trajectory.course import Course, plan_of
 from armctl.trajectory.plan import Plan
-from armctl.trajectory.refinement import ASTRAY, Measured, Refinement, Round, following, seen_mm
+from armctl.trajectory.refinement import ASTRAY, Measured, Refinement, Round, Shown, following, seen_mm
 
 
 def run(rig: Rig, course: Course, plan: Plan, number: int, *, corrected: bool = True) -> Round:
@@ -45,7 +45,7 @@ def first_run(rig: Rig, candidates: Iterable[Course], model: LagModel | None, se
     raise refused
 
 
-def refine(rig: Rig, first: Round, rounds: int, show: Callable[[Round], None] = lambda _: None) -> list[Round]:
+def refine(rig: Rig, first: Round, rounds: int, show: Shown = lambda _: None) -> list[Round]:
     """Measure, correct and run again, at most `rounds` times. Returns `first` and the new rounds, in order.
 
     The last of them that is `kept` is the outcome.

@@ -39,6 +39,7 @@ from armctl.trajectory import identification
 from armctl.trajectory.identification import QUANTITIES, Found, Trace
 from armctl.trajectory.interpolate import time_law
 from armctl.trajectory.plan import Plan, plan_through, preflight
+from armctl.trajectory.preflight import Driven, DrivenArm
 
 # How far a joint sweeps to either side [rad], and its legs: to where, as a share of it, and how fast [deg/s].
 SWEEP_RAD = math.radians(16.0)
@@ -138,9 +139,7 @@ def balanced(arm: ArmConfig, robot: Robot) -> list[FloatArray]:
     return list(q[np.lexsort((-height_m, cost(q) > HEAVY_NM2))[:TRIED]])
 
 
-def plans(
-    arm: ArmConfig, robot: Robot, joints: Sequence[int], period_s: float, quick_at: Sequence[float] | None = None
-) -> list[tuple[str, Plan]]:
+def plans(on: Driven, joints: Sequence[int], quick_at: Sequence[float] | None = None) -> list[tuple[str, Plan]]:
     """The motions that identify some joints, and which one each is for.
 
     Args:
@@ -148,32 +147,25 @@ def plans(
     Raises:
         RequestRefused: NO_ROOM.
     """
-    for base in balanced(arm, robot) if quick_at is None else [np.array(quick_at)]:
+    for base in balanced(on.arm, on.robot) if quick_at is None else [np.array(quick_at)]:
         quick = [(j, 0.0, partial(sweep, j, QUICK)) for j in joints]
-        wanted = quick if quick_at is not None else _wanted(arm, robot, base, joints)
-        found = [(arm.joints[j].name, _allowed(arm, robot, base, most, moves, period_s)) for j, most, moves in wanted]
+        wanted = quick if quick_at is not None else _wanted(on.arm, on.robot, base, joints)
+        found = [(on.arm.joints[j].name, _allowed(on, base, most, moves)) for j, most, moves in wanted]
         kept = [(name, plan) for name, plan in found if plan is not None]
         if kept and (quick_at is not None or len(kept) == len(found)):
             return kept
     raise RequestRefused("NO_ROOM", "no pose leaves the joints room to move; widen limits_deg, or name fewer --joints")
 
 
-def _allowed(
-    arm: ArmConfig,
-    robot: Robot,
-    base: FloatArray,
-    most_rad: float,
-    moves: Callable[..., Iterable[Move]],
-    period_s: float,
-) -> Plan | None:
+def _allowed(on: Driven, base: FloatArray, most_rad: float, moves: Callable[..., Iterable[Move]]) -> Plan | None:
     """The farthest and fastest way of some moves that pre-flight allows."""
     for out_rad, slower in product(sorted({min(most_rad, out) for out in OUT_RAD}, reverse=True), SLOWER):
-        q = rows_of(base, moves(out_rad, slower), period_s)
-        first, last = tool_position(robot.chain, q[[0, -1], : robot.chain.n]).tolist()
+        q = rows_of(base, moves(out_rad, slower), on.period_s)
+        first, last = tool_position(on.robot.chain, q[[0, -1], : on.robot.chain.n]).tolist()
         asked: dict[str, Any] = {"from_m": tuple(first), "to_m": tuple(last), "interpolation": "linear", "seed": 0}
         knots = time_law(np.linspace(0.0, 1.0, len(q)))
-        plan = plan_through(arm, q, knots, (0.0, 0.0), duration_s=period_s * (len(q) - 1), **asked)
-        if not preflight(plan, arm, robot, plan.waypoints_rad[0]):
+        plan = plan_through(on.arm, q, knots, (0.0, 0.0), duration_s=on.period_s * (len(q) - 1), **asked)
+        if not preflight(plan, on.arm, on.robot, plan.waypoints_rad[0]):
             return plan
     return None
 
@@ -209,9 +201,9 @@ def moved(
     Raises:
         RequestRefused: NO_ROOM, or what the daemon says.
     """
-    status, robot, traces = client.call("status"), robots.of(arm), list[Trace]()
+    status, traces = client.call("status"), list[Trace]()
     start = [joint["position_rad"] for joint in status["joints"]]
-    wanted = plans(arm, robot, joints, status["period_s"], start if quick else None)
+    wanted = plans(DrivenArm(arm, robots.of(arm), status["period_s"]), joints, start if quick else None)
     for done, (name, plan) in enumerate(wanted):
         tell(done / len(wanted), name)
         recording = client.call("run", plan=plan.model_dump(mode="json"), corrected=False)["recording"]

@@ -159,26 +159,21 @@ def best_of(rounds: Sequence[Round]) -> Round:
 
 # Yields a round whose plan is to be run once more, and is sent what was measured; None begins it.
 Steps = Generator[Round, Measured | None, None]
+# Called with each further round that is over.
+Shown = Callable[[Round], None]
 
 
 class Refinement:
     """The rounds of one plan, as far as they have come."""
 
     def __init__(
-        self,
-        on: Driven,
-        first: Round,
-        rounds: int,
-        *,
-        further: int | None = None,
-        show: Callable[[Round], None] = lambda _: None,
+        self, on: Driven, first: Round, rounds: int, *, further: int | None = None, show: Shown = lambda _: None
     ) -> None:
         """
         Args:
             first: What the arm does before any correction; may have been run.
             rounds: Corrections at most.
             further: Runs at most beyond those of `first`, or beyond its only one; None: as many as the rules ask for.
-            show: Called with each further round that is over.
         """
         self.on, self.first, self.most, self.show = on, first, rounds, show
         self._left = further
