@@ -38,6 +38,8 @@ from armctl.trajectory.via_points import choose_via_points, predict_tool_path
 
 STATIONS_PER_S = 10.0
 FEWEST_STATIONS, MOST_STATIONS = 10, 100
+# Called with the number of a generation (from 1), the best and the mean cost [mm].
+Progress = Callable[[int, float, float], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,13 +130,13 @@ def optimize(
     arm: ArmConfig,
     robot: Robot,
     request: OptimizeRequest,
-    progress: Callable[[int, float, float], None] | None = None,
+    progress: Progress | None = None,
 ) -> StraightLineResult:
     """The straightest motions from A to B that the recordings hold.
 
     Args:
         recordings: Joint positions [rad], each of shape (samples, joints), in the arm's joint order.
-        progress: Called after each generation with its number (from 1), the best and the mean cost [mm].
+        progress: Called after each generation.
     Raises:
         RequestRefused: the line or a recording is unfit; `reasons` names all that were found.
     """
@@ -275,11 +277,7 @@ def _refuse_below_floor(arm: ArmConfig, A: FloatArray, B: FloatArray) -> None:
 
 
 def _evolve(
-    costs: PathCost,
-    recordings: int,
-    settings: Settings,
-    rng: np.random.Generator,
-    progress: Callable[[int, float, float], None] | None,
+    costs: PathCost, recordings: int, settings: Settings, rng: np.random.Generator, progress: Progress | None
 ) -> tuple[IntArray, tuple[float, ...], tuple[float, ...], int]:
     stations, choices = costs.distance_m.shape
     # The first population is the recordings themselves, as in the paper (Fig. 8); searches bring blends in.

@@ -42,6 +42,8 @@ if TYPE_CHECKING:
     from armctl.host.takes import TakeRecorder
     from armctl.recording.writer import LogContext
 
+    # Takes each tick record in.
+    TakesTick = Callable[[TickRecord], None]
     MakeRecorder = Callable[[LogContext, Path, Path], TakeRecorder]
 
 # Longest wait for the arm to come to rest at the end.
@@ -179,16 +181,10 @@ async def _parts(
 
 
 async def supervise(
-    control: ControlHandle,
-    restart: Callable[[], ControlHandle],
-    host: Host,
-    tick: Callable[[TickRecord], None],
-    outside: Outside,
+    control: ControlHandle, restart: Callable[[], ControlHandle], host: Host, tick: TakesTick, outside: Outside
 ) -> None:
     """Keep a control process alive, beginning with `control`, until cancelled: when it is gone, another is started.
 
-    Args:
-        tick: Takes each tick record in.
     Raises:
         BusError: the very first process could not take the port.
     """
@@ -206,9 +202,7 @@ async def supervise(
         control = restart()
 
 
-async def _until_gone(
-    control: ControlHandle, host: Host, tick: Callable[[TickRecord], None], pulse: Pulse
-) -> BusError | None:
+async def _until_gone(control: ControlHandle, host: Host, tick: TakesTick, pulse: Pulse) -> BusError | None:
     """Take in what the process sends until it is gone; returns why it could not start, if so."""
     loop = asyncio.get_running_loop()
     descriptor = control.link.fileno()

@@ -26,7 +26,7 @@ from pydantic import Field
 from armctl.config import ArmConfig, Name
 from armctl.errors import ArmctlError, RequestRefused
 from armctl.genetic.request import OptimizeRequest, ViaCounts
-from armctl.genetic.straight_line import optimize
+from armctl.genetic.straight_line import Progress, optimize
 from armctl.kinematics import robots
 from armctl.kinematics.chain import SerialChain
 from armctl.messages import LagModel
@@ -48,8 +48,6 @@ logger = logging.getLogger(__name__)
 
 A = TypeVar("A")
 R = TypeVar("R")
-# Called with generation, best and mean cost [mm].
-Progress = Callable[[int, float, float], None]
 Task = Callable[[A, Progress], R]
 
 

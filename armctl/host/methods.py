@@ -15,10 +15,11 @@ from pydantic import Field, model_validator
 from armctl.config import Frozen, Name
 from armctl.errors import ArmctlError, RequestRefused
 from armctl.genetic.alignment import align
+from armctl.genetic.straight_line import Progress
 from armctl.host import plans, programs, teaching
 from armctl.host.exchange import COMMANDS
 from armctl.host.host import Host
-from armctl.host.jobs import OptimizeJob, Progress, RecordedRequest
+from armctl.host.jobs import OptimizeJob, RecordedRequest
 from armctl.host.jsonrpc import error_data
 from armctl.host.motions import move, path, play, run, transfer
 from armctl.host.reach import grip, reach

@@ -12,7 +12,8 @@ import pytest
 from armctl.errors import ConfigError, LogError, RequestRefused
 from armctl.genetic.algorithm import DEFAULT
 from armctl.genetic.request import OptimizeRequest
-from armctl.host.jobs import INDIVIDUAL_BYTES, JOB_BYTES, OptimizeJob, Progress, optimize_task, run_job
+from armctl.genetic.straight_line import Progress
+from armctl.host.jobs import INDIVIDUAL_BYTES, JOB_BYTES, OptimizeJob, optimize_task, run_job
 from armctl.trajectory.plan import plan_from_text
 from tests.genetic import hand
 from tests.host.doubles import refused, write_take

@@ -12,7 +12,8 @@ import yaml
 from armctl.config import validate
 from armctl.errors import ConfigError, LogError
 from armctl.genetic.algorithm import DEFAULT, PROFILES
-from armctl.host.jobs import OptimizeJob, Progress, RecordedRequest, optimize_task
+from armctl.genetic.straight_line import Progress
+from armctl.host.jobs import OptimizeJob, RecordedRequest, optimize_task
 from armctl.host.server import PERSON, Connection
 from armctl.recording.recordings import Recording, describe, load
 from tests.genetic import hand

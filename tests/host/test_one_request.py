@@ -17,9 +17,9 @@ from armctl.cli.program import program_run
 from armctl.config import Frozen, validate
 from armctl.genetic.algorithm import PROFILES
 from armctl.genetic.request import OptimizeRequest
-from armctl.genetic.straight_line import optimize
+from armctl.genetic.straight_line import Progress, optimize
 from armctl.host import jobs
-from armctl.host.jobs import OptimizeJob, Progress
+from armctl.host.jobs import OptimizeJob
 from armctl.host.server import Connection
 from armctl.trajectory.grasp import ReachRequest
 from armctl.trajectory.plan import Plan, plan_from_text

@@ -17,8 +17,9 @@ import numpy as np
 from armctl.config import Config, LogConfig
 from armctl.errors import ArmctlError
 from armctl.files import load_arm
+from armctl.genetic.straight_line import Progress
 from armctl.host.host import Host
-from armctl.host.jobs import OptimizeJob, Progress, optimize_task
+from armctl.host.jobs import OptimizeJob, optimize_task
 from armctl.host.learning import Learner
 from armctl.host.methods import Methods
 from armctl.host.server import Connection

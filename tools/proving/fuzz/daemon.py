@@ -15,9 +15,10 @@ import yaml
 
 from armctl.clock import NS_PER_S, VirtualClock
 from armctl.errors import LogError
+from armctl.genetic.straight_line import Progress
 from armctl.host.daemon import listen
 from armctl.host.host import Host
-from armctl.host.jobs import OptimizeJob, Progress
+from armctl.host.jobs import OptimizeJob
 from armctl.host.methods import Methods
 from armctl.host.server import Method, Server
 from armctl.lab.demo import started
