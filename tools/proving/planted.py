@@ -171,7 +171,7 @@ MUTANTS: tuple[Mutant, ...] = (
     _m("a fault is cleared without looking who is there", CONTROL, (
         "__due or __x._tick == 0 or (any(__clears) and __x._identification is None)", "__due or __x._tick == 0")),
     _m("a jog never ends", CONTROL, (
-        "return __s.finish_jog(__jog.stop_code or 'NO_HEARTBEAT')", "return None")),
+        "__s.finish_jog(__jog.stop_code or 'NO_HEARTBEAT')", "None")),
     _m("overload is never seen", CONTROL, ("LOAD_RATIO = 0.8", "LOAD_RATIO = 1.8")),
     _m("a blocked joint is not relieved", CONTROL, (
         "if __s.latch_servo('BLOCKED', __i, __found):\n    relieve(__s, __s.wire[__i].of)",
