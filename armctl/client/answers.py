@@ -19,6 +19,8 @@ class Joint(TypedDict):
     name: str
     servo_id: int
     position_rad: float | None
+    # Where it is commanded to be a tick later; None: armctl has no say in it.
+    wanted_rad: float | None
     velocity_rad_s: float | None
     # Share of the greatest torque, -1 to 1.
     load_ratio: float | None

@@ -55,9 +55,10 @@ class Statistics:
         return math.dist(begin, end) * NS_PER_S / max(1, end_ns - begin_ns)
 
     def cycle(self) -> dict[str, int]:
-        """Bus and timing figures of the last minute (at 10 Hz)."""
+        """Bus and timing figures of the last minute (at 10 Hz), and how long the bus took in the last tick."""
         bus_us, lateness_us, retries = zip(*self._ticks, strict=True) if self._ticks else ((0,),) * 3
         return {
+            "bus_us": bus_us[-1],
             "bus_us_p50": _percentile(bus_us, 50),
             "bus_us_p99": _percentile(bus_us, 99),
             "lateness_us_p99": _percentile(lateness_us, 99),
@@ -69,7 +70,9 @@ class Statistics:
 def arm_snapshot(arm: ArmConfig, latest: TickRecord | None, statistics: Statistics, now_ns: int) -> dict[str, Any]:
     """Tick, joints, tool and motion, as of now."""
     age_s = None if latest is None else max(0, now_ns - latest.inputs.now_ns) / NS_PER_S
-    states = (None,) * len(arm.joints) if latest is None else latest.outputs.joints
+    nothing: tuple[None, ...] = (None,) * len(arm.joints)
+    states = nothing if latest is None else latest.outputs.joints
+    wanted = nothing if latest is None else latest.outputs.wanted_rad or nothing
     pose = None if latest is None else latest.outputs.tool
     tool = pose and {
         "position_m": list(pose.position_m),
@@ -80,8 +83,9 @@ def arm_snapshot(arm: ArmConfig, latest: TickRecord | None, statistics: Statisti
         "tick": None if latest is None else latest.inputs.tick,
         "age_s": age_s,
         "joints": [
-            {"name": joint.name, "servo_id": joint.servo_id, "limits_rad": joint.limits_rad, **_joint(state, age_s)}
-            for joint, state in zip(arm.joints, states, strict=True)
+            {"name": joint.name, "servo_id": joint.servo_id, "limits_rad": joint.limits_rad, "wanted_rad": q_rad}
+            | _joint(state, age_s)
+            for joint, state, q_rad in zip(arm.joints, states, wanted, strict=True)
         ],
         "tool": tool,
         "cycle": statistics.cycle(),

@@ -51,6 +51,15 @@ def _positions(bench: Bench) -> Any:
     return np.array(bench.arm.positions_rad()[: bench.arm.robot.chain.n])
 
 
+async def test_where_joints_are_commanded_to_be_is_told_once_armctl_has_a_say_in_it(fresh: Bench) -> None:
+    assert [joint["wanted_rad"] for joint in fresh.host.status()["joints"]] == [None] * 6
+    fresh.tick()
+    assert [joint["wanted_rad"] for joint in fresh.host.status()["joints"]] == [None] * 6
+    bench = await fresh.holding()
+    wanted_rad = [joint["wanted_rad"] for joint in bench.host.status()["joints"]]
+    assert wanted_rad == pytest.approx(bench.arm.positions_rad(), abs=2 * ax12a.TICK_RAD)
+
+
 async def test_ages_grow_when_no_tick_comes(limp: Bench) -> None:
     before = limp.host.status()
     limp.clock.advance_ns(700_000_000)
@@ -103,6 +112,7 @@ async def test_a_dead_control_process_is_a_fault_until_the_next_one_ticks(limp: 
 
 async def test_the_cycle_figures_cover_the_last_600_ticks(fresh: Bench) -> None:
     record = fresh.tick(lateness_us=90_000)
+    assert fresh.host.status()["cycle"]["bus_us"] == record.inputs.sample.bus_us
     assert fresh.host.status()["cycle"]["overruns"] == 1
     assert fresh.host.status()["cycle"]["lateness_us_p99"] == 90_000
     for _ in range(600):
