@@ -355,12 +355,9 @@ class Tick:
         return shown == self.state.goal[index] or any(goal[index] == shown for goal in self.state.sent)
 
     def send_goal(self, ticks: Sequence[int], within: float = 1.0) -> None:
-        """Goal and speed for every servo, inside the limits; each arrives in one tick from where its ramp is by now.
+        """Goal and speed for every servo, inside the limits; each arrives `within` so many ticks from its ramp.
 
         Those of second servos may be left out. None is sent to an arm that is let go: it would energise what is limp.
-
-        Args:
-            within: In such a part of a tick they arrive.
         """
         if self.state.letting_go is not None:
             return

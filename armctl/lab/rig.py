@@ -57,7 +57,7 @@ class Rig(Driven, Protocol):
         """
 
 
-class _ObservingClock(VirtualClock):
+class ObservingClock(VirtualClock):
     """A virtual clock that notes the arm's true positions every `TRUTH_NS` while time passes."""
 
     def __init__(self, arm: SimulatedArm) -> None:
@@ -86,7 +86,7 @@ class VirtualRig:
             RequestRefused: the arm does not take torque.
         """
         self.simulated = simulated
-        self._clock = _ObservingClock(simulated)
+        self._clock = ObservingClock(simulated)
         self._virtual = VirtualArm(simulated, period_s, clock=self._clock)
         self.arm, self.robot, self.period_s = self._virtual.arm, self._virtual.robot, period_s
         self._virtual.energise(FIRST_TICKS)

@@ -172,9 +172,10 @@ class Beats:
 
     def kept_s(self, now_s: float, begin: bool) -> float:
         """How long to keep the answer of the heartbeat that has just come."""
+        tick_s = min(self.period_s, 0.1)
         if not begin:
-            self.way_s = max(REMEMBERED * self.way_s, now_s - self.answered_s)
-        return max(0.0, BEAT_AT * min(self.period_s, 0.1) - self.way_s)
+            self.way_s = max(REMEMBERED * self.way_s, min(now_s - self.answered_s, tick_s))
+        return max(0.0, BEAT_AT * tick_s - self.way_s)
 
 
 def _commands(daemon: Connections, set_up: SetUp, beats: Beats) -> APIRouter:
