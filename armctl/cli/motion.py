@@ -3,14 +3,14 @@
 import math
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from armctl.cli.keys import attended, keys
 from armctl.cli.output import HOLDS, RECORDED, SOCKET, Output, command, millimetres, off
 from armctl.cli.tables import show_rows
-from armctl.errors import ConfigError
+from armctl.errors import ConfigError, RequestRefused
 from armctl.files import load_arm, read_text
 
 
@@ -61,15 +61,17 @@ def jog_command(output: Output, joint: str | None, axis: str | None, speed: floa
         names = [known["name"] for known in status["joints"]]
         if joint is not None and joint not in names:
             raise ConfigError("armctl jog", "--joint", f"no joint {joint!r}", f"known: {', '.join(names)}")
-        if axis is not None:
-            requests = heartbeats(seconds, tool_m_s=_lead(f"{axis}+", speed))
-        elif joint is not None:
-            turn = max(-10.0, min(10.0, math.radians(speed) if deg else speed))
-            requests = heartbeats(seconds, joints_rad_s=[turn * (name == joint) for name in names])
+        if axis is joint is None:
+            _by_keys(output, client.call, abs(speed))
         else:
-            requests = _by_keys(output, abs(speed))
-        for method, params in requests:
-            client.call(method, **params)
+            turn = max(-10.0, min(10.0, math.radians(speed) if deg else speed))
+            how = (
+                {"joints_rad_s": [turn * (name == joint) for name in names]}
+                if axis is None
+                else {"tool_m_s": _lead(f"{axis}+", speed)}
+            )
+            for method, params in heartbeats(seconds, **how):
+                client.call(method, **params)
         status = client.call("status")
     position_m = status["tool"]["position_m"]
     output.answer({"state": status["state"], "position_m": position_m}, place=millimetres(position_m))
@@ -80,24 +82,27 @@ def _lead(way: str, speed_m_s: float) -> list[float]:
     return [(speed_m_s if way[1] == "+" else -speed_m_s) * (axis == way[0]) for axis in "xyz"]
 
 
-def _by_keys(output: Output, speed_m_s: float) -> Iterator[tuple[str, dict[str, Any]]]:
-    """What leads the tool as long as keys say so, each request asked when the one before is answered."""
-    way, until_s, moves = "", 0.0, False
+def _by_keys(output: Output, call: Callable[..., Any], speed_m_s: float) -> None:
+    """Lead the tool as long as keys say so; each answer comes when the next word is due. What is refused is said."""
+    way, until_s, moves, why = "", 0.0, False, ""
     with keys(sys.stdin) as pressed:
         output.say(KEYS_HELP)
         while (key := pressed.wait(0.0 if moves else 0.05)) != "q":
             speed_m_s = min(max(speed_m_s * {"+": 1.25, "-": 0.8}.get(key, 1.0), 0.002), 0.25)
             if key and key not in "+-":
-                way, until_s = LEADS.get(key, ""), time.monotonic() + HELD_S
+                way, until_s, why = LEADS.get(key, ""), time.monotonic() + HELD_S, ""
             leads = bool(way) and time.monotonic() < until_s
-            output.live(f"{1000.0 * speed_m_s:.0f} mm/s" + f" along {way}" * leads)
+            output.live(f"{1000.0 * speed_m_s:.0f} mm/s" + f" along {way}" * leads + why)
             if leads:
-                yield "jog", {"tool_m_s": _lead(way, speed_m_s), "begin": not moves}
+                try:
+                    call("jog", tool_m_s=_lead(way, speed_m_s), begin=not moves)
+                except RequestRefused as refusal:
+                    way, why = "", f": {refusal}"
             elif moves:
-                yield "stop", {}
+                call("stop")
             moves = leads
         if moves:
-            yield "stop", {}
+            call("stop")
 
 
 @command("path", SOCKET)

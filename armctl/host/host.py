@@ -27,7 +27,7 @@ from armctl.host.exchange import ANSWER_S, COMMANDS, Exchange, restarting
 from armctl.host.lease import Client, Lease, Leases
 from armctl.host.snapshot import Statistics, arm_snapshot, fault_snapshots, note_words
 from armctl.host.takes import TakeRecorder, Takes
-from armctl.host.watch import Done, Leg, Watch, holds, refuse_collision, run_name
+from armctl.host.watch import Done, Leg, Watch, holds, refuse_collision, refuse_to_begin, run_name
 from armctl.kinematics.robots.robot import Robot
 from armctl.messages import JointTrajectory, LagModel, Mode, Reply, TickRecord
 from armctl.recording.channels import COMMAND
@@ -230,7 +230,7 @@ class Host:
         """One heartbeat of a jog; answered by the next tick, which is when the next one is due.
 
         Raises:
-            RequestRefused: BUSY, a link would touch another, or the jog has ended.
+            RequestRefused: BUSY, a joint stands at its limit, a link would touch another, or the jog has ended.
         """
         with self.leases.commanding(client, "jog") as lease:
             if begin:
@@ -242,6 +242,8 @@ class Host:
             self.exchange.forget_hold()  # a stop from now on is a new one
             if len(joints_rad_s) == len(q_now) or len(tool_m_s) == 3:
                 ahead = joints_rad_s or joint_velocities(self.robot, q_now, tool_m_s)
+                if begin:
+                    refuse_to_begin(q_now, ahead, self.arm, led=not joints_rad_s)
                 refuse_collision(q_now, ahead, self.arm, self.robot)
             await self.exchange.request(lambda request_id: messages.Jog(request_id, joints_rad_s, tool_m_s, begin))
         if not lease.lost and self.latest is not None and self.latest.outputs.mode is Mode.JOGGING:

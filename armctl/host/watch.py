@@ -1,5 +1,6 @@
 """A motion as the host sees it: what makes its trajectory, what is seen of it, and the look ahead of a jog."""
 
+import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -17,6 +18,8 @@ from armctl.trajectory.collision import judged_pairs, link_clearance, link_point
 JOG_LOOK_S = 0.5
 JOG_LOOKS = 11
 SAME_M = 1e-6
+# A joint so near to its limit, or there so soon, stands at it: two ticks of an encoder.
+AT_LIMIT_RAD, AT_LIMIT_S = 0.0102, 0.5
 # Of the load asked for: with less the gripper holds nothing, or has lost it.
 HELD_SHARE = 0.5
 # Makes a trajectory from where the joints are told to be [rad]; refuses what must not be run.
@@ -85,10 +88,28 @@ def holds(arm: ArmConfig, load_ratio: Sequence[float]) -> bool:
     return gripper is not None and held >= HELD_SHARE * gripper.load_ratio
 
 
+def refuse_to_begin(q_now: Sequence[float], joints_rad_s: Sequence[float], arm: ArmConfig, led: bool) -> None:
+    """Refuse a jog that would end where it begins: what asks for it is to hear why.
+
+    Args:
+        led: Whether the tool is led, so that all joints wait for one that has to.
+    Raises:
+        RequestRefused: code LIMIT, naming the joint that stands at its limit.
+    """
+    stands = [
+        f"{joint.name} stands at its limit, {math.degrees(limit):.1f} deg, and would have to turn past it"
+        for joint, q, v in zip(arm.joints, q_now, joints_rad_s, strict=True)
+        for limit in (joint.limits_rad[v > 0.0],)
+        if v and abs(limit - q) < min(AT_LIMIT_RAD, AT_LIMIT_S * abs(v))
+    ]
+    if stands and (led or len(stands) == sum(map(bool, joints_rad_s))):
+        raise RequestRefused("LIMIT", f"{stands[0]}; jog another way")
+
+
 def refuse_collision(q_now: Sequence[float], joints_rad_s: Sequence[float], arm: ArmConfig, robot: Robot) -> None:
     """Look where a jog of the joints leads within `JOG_LOOK_S`; links that overlap already may come apart.
 
-    Limits and floor are the control step's; here it is the links that must not touch each other.
+    On the way limits and floor are the control step's; here it is the links that must not touch each other.
 
     Raises:
         RequestRefused: code PREFLIGHT, naming the links.

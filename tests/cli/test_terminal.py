@@ -14,6 +14,7 @@ import pytest
 import yaml
 
 from armctl.client import Client
+from armctl.files import load_arm
 from armctl.lab.demo import started
 from proving.hang import CENTRE_DEG
 from proving.rig import hold
@@ -105,6 +106,7 @@ def test_ctrl_c_during_a_move_stops_the_arm_and_says_so(daemon: Path) -> None:
 
 
 def test_keys_lead_the_tool_while_they_are_held_down(daemon: Path) -> None:
+    limit_rad = load_arm("ax12-line").joints[0].limits_rad[1]
     with Client(daemon) as client:
         hold(client, PATIENCE_S)
         client.call("move", joints_rad=np.radians(CENTRE_DEG).tolist())
@@ -116,6 +118,11 @@ def test_keys_lead_the_tool_while_they_are_held_down(daemon: Path) -> None:
             jogging.until("40 mm/s along y+")
             next(one for one in snapshots if one["state"] == "jogging")
             after = next(one for one in snapshots if one["state"] == "holding")  # nobody holds the key down
+            client.call("move", joints_rad=[limit_rad, *np.radians(CENTRE_DEG[1:])])
+            jogging.press(b"\x1b[C")  # what is refused is said, and other keys go on
+            jogging.until("base stands at its limit")
+            jogging.press(b"\x1b[D")
+            next(one for one in snapshots if one["state"] == "jogging")
             jogging.press(b"q")
             assert jogging.status() == 0
             assert "holding, tool at" in jogging.said

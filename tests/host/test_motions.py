@@ -315,6 +315,32 @@ async def test_a_jog_that_leads_links_into_each_other_is_refused(bench: Bench) -
     assert bench.arm.mode() is Mode.HOLDING
 
 
+async def test_a_jog_that_cannot_begin_names_the_joint_and_its_limit(bench: Bench) -> None:
+    """Before, it was accepted, and the arm stood still."""
+    for tick in range(120):
+        await bench.beat(bench.anna, turn=(0.35, 0.0, 0.0, 0.0, 0.0, 0.0), begin=tick == 0)
+    await bench.until(lambda: bench.arm.mode() is Mode.HOLDING)
+    goals = len(bench.arm.goals)
+    with refused("LIMIT", r"base stands at its limit, 145\.0 deg, and would have to turn past it; jog another way"):
+        await bench.beat(bench.anna, turn=TURN, begin=True)
+    bench.ticks(3)
+    assert bench.arm.mode() is Mode.HOLDING
+    assert len(bench.arm.goals) == goals
+    # Another joint goes on, and this one goes back.
+    for turn in ((0.2, 0.0, 0.0, 0.0, 0.0, 0.2), (-0.2, 0.0, 0.0, 0.0, 0.0, 0.0)):
+        assert await bench.beat(bench.anna, turn=turn, begin=True) == {"state": "jogging"}
+        await bench.until(lambda: bench.arm.mode() is Mode.HOLDING)
+
+
+async def test_a_tool_is_led_nowhere_by_a_joint_at_its_limit(bench: Bench) -> None:
+    for tick in range(20):
+        await bench.beat(bench.anna, turn=(0.0, 0.2, 0.0, 0.0, 0.0, 0.0), begin=tick == 0)
+    await bench.until(lambda: bench.arm.mode() is Mode.HOLDING)
+    with refused("LIMIT", r"shoulder stands at its limit, 160\.0 deg"):
+        await bench.beat(bench.anna, lead=(-0.05, 0.0, 0.0), begin=True)
+    assert await bench.beat(bench.anna, lead=(0.0, 0.05, 0.0), begin=True) == {"state": "jogging"}
+
+
 def way(request: MoveRequest, q_now: list[float]) -> list[float]:
     """Where a move of the paper's arm ends."""
     arm = load_arm("ax12-line")
