@@ -129,6 +129,10 @@ def test_from_teaching_to_a_run_and_its_log(page: Page, stand: Stand) -> None:
     page.check("#recordings [aria-label='show line-1']")
     page.check("#plans [aria-label='show line-via1']")
     expect(page.locator("#deviation .names li")).to_have_count(2)
+    # Its table says the same again, by the same line.
+    figures = page.locator("#recordings tr", has=page.get_by_label("show line-1", exact=True)).locator("td")
+    expect(figures.nth(1)).to_have_text(f"{told['mean_error_mm']:.1f}")
+    expect(figures.nth(2)).to_have_text(f"{told['max_error_mm']:.1f}")
 
     page.click("nav [data-view=logs]")
     expect(page.locator("#log-plot .names li")).to_have_count(6)
@@ -278,6 +282,48 @@ def test_why_the_tool_cannot_go_somewhere_stands_beside_the_button(page: Page, p
     page.click("#tool-go")
     expect(page.locator("#tool-problem")).to_contain_text(reason)
     expect(page.locator("#message")).to_be_hidden()
+
+
+def test_why_the_tool_is_not_led_stands_beside_the_button(page: Page, stand: Stand) -> None:
+    energised(page)
+    with Client(stand.socket) as client:
+        before = [joint["position_rad"] for joint in client.call("status")["joints"]]
+        client.call("move", joints_rad=[math.radians(145.0), *before[1:]])
+        page.hover("[data-jog=right]")
+        page.mouse.down()
+        expect(page.locator("#tool-problem")).to_contain_text("base stands at its limit, 145.0 deg")
+        page.mouse.up()
+        client.call("move", joints_rad=before)
+
+
+SEEN = """async () => {
+  const { page: { view } } = await import("/page.js");
+  const places = view.bodies.places().map((place) => place.project(view.camera));
+  const farthest = Math.max(...places.flatMap(({ x, y }) => [Math.abs(x), Math.abs(y)]));
+  return [farthest, view.camera.position.toArray()];
+}"""
+
+
+def test_the_whole_arm_is_in_the_picture_until_somebody_turns_it(page: Page, stand: Stand) -> None:
+    energised(page)
+    with Client(stand.socket) as client:
+        before = [joint["position_rad"] for joint in client.call("status")["joints"]]
+        for size in ({"width": 1280, "height": 900}, {"width": 390, "height": 844}):
+            page.set_viewport_size(size)
+            for base_deg, turned in ((90.0, False), (-90.0, False), (0.0, True)):  # stretched out to each side
+                client.call("move", joints_rad=[*map(math.radians, (base_deg, 40.0, -10.0, 0.0, 0.0, 0.0))])
+                stand.ticks(0.3)
+                farthest, eye = page.evaluate(SEEN)
+                assert farthest < 1.0
+                if turned:
+                    page.locator("#scene").hover()
+                    page.mouse.wheel(0.0, -600.0)
+                    page.wait_for_function("async () => (await import('/page.js')).page.view.turned")
+                    near = page.evaluate(SEEN)[1]
+                    assert near != eye
+                    page.click("#look")
+                    assert page.evaluate(SEEN)[0] < 1.0
+        client.call("move", joints_rad=before)
 
 
 def test_a_click_in_the_picture_writes_the_place_under_it(page: Page) -> None:

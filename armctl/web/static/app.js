@@ -201,7 +201,7 @@ function drawArm(glide = false) {
   lineDrawn = String(line);
   page.view.pose(q, glide && !calm.matches);
   page.view.curve("line", line, "--red", true);
-  page.view.curve("trail", trail, "--ok");
+  page.view.curve("trail", trail, "--soft");
 }
 
 // ------------------------------------------------------------------------------------------------- wiring

@@ -22,7 +22,7 @@ export const namesOf = (curves) => curves.map((curve, i) => {
 
 export class Chart {
   // Draws into an element, which has a size of its own. `x` and `y` are what the axes say; the one of y begins at `low`,
-  // where that is given, and shows no less than `span`; that of x is `wide`, where that is given.
+  // where that is given, and shows no less than `span`; `wide` makes the range of x, where that is given.
   constructor(element, { x, y = null, log = false, low = null, span = 1e-3, wide = null }) {
     Object.assign(this, { element, x, y, log, low, span, wide, marked: null, notches: [], series: [], plot: null });
     this.names = document.createElement("ul");

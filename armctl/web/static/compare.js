@@ -2,19 +2,27 @@
 
 import { COLOURS, drawDeviation, namesOf } from "/charts.js";
 import { onTheWay, proper, wantedLine } from "/geometry.js";
-import { tracks } from "/guide.js";
+import { forget, offLine } from "/guide.js";
 import { $, act, armView, confirmed, request, spoken } from "/page.js";
 
 let pathView = null;
 // A figure of a column whose head says what it is in.
 const short = (value) => value?.toFixed(1) ?? "–";
+const errors = (one) => [short(one.mean_error_mm), short(one.max_error_mm)];
 const shown = { recordings: new Set(), plans: new Set() };
 
 export async function loadCompare() {
   const [{ recordings }, { plans }] = await Promise.all([request("/recordings"), request("/plans")]);
-  rows("recordings", recordings, (one) => [`${one.duration_s.toFixed(1)} s`, short(one.mean_error_mm), short(one.max_error_mm)]);
+  const line = wantedLine();
+  $("recordings-hint").textContent = line ? "Distance in mm from the wanted line." : "Distance in mm from the straight line between a recording's first and last point.";
+  rows("recordings", recordings, (one) => [`${one.duration_s.toFixed(1)} s`, ...(line ? ["", ""] : errors(one))]);
   rows("plans", plans, (one) => [one.via, short(one.predicted_mean_error_mm), short(one.predicted_max_error_mm)]);
   await drawCompare();
+  const made = [...$("recordings").tBodies[0].rows];
+  for (let i = 0; line && i < recordings.length && made[i].isConnected && !$("view-compare").hidden; i++) {
+    const told = errors(await offLine(recordings[i].name, line));
+    [...made[i].cells].slice(2, 4).forEach((cell, k) => { cell.textContent = told[k]; });
+  }
 }
 
 function rows(kind, items, figures) {
@@ -45,7 +53,7 @@ function rows(kind, items, figures) {
     button.addEventListener("click", async () => {
       if (!await confirmed(`Delete ${one.name}?`, "Delete")) return;
       await act(button, () => request(`/${kind}/${encodeURIComponent(one.name)}`, { method: "DELETE" }));
-      tracks.delete(one.name);  // another take may have that name next
+      forget(one.name);
       await act(null, loadCompare);
     });
     row.insertCell().append(button);

@@ -12,7 +12,7 @@ const TAKEN = [1, 3, 6, 7, 5, 4].map((i) => COLOURS[i]);
 // The take that is recorded, and whether a plan runs.
 export const guide = { taking: null, running: false };
 // Of recordings, by name: the tool's path, and how far it is off lines, as the daemon says, by the line.
-export const tracks = new Map();
+const tracks = new Map();
 let takes = [], drawn = null, ran = false;
 let covered = [1, 0];  // of the line, in the take under way
 
@@ -58,16 +58,27 @@ async function loadTakes() {
   await drawGuide();
 }
 
+function track(name) {
+  if (!tracks.has(name)) tracks.set(name, { tool_m: null, off: {} });
+  return tracks.get(name);
+}
+
+// How far a recording is off a line.
+export async function offLine(name, line) {
+  const ends = new URLSearchParams([["from_m", line[0]], ["to_m", line[1]]].flatMap(([end, place]) => place.map((x) => [end, x])));
+  return track(name).off[line] ??= await request(`/recordings/${encodeURIComponent(name)}/errors?${ends}`);
+}
+
+// Another recording may have that name next.
+export const forget = (name) => tracks.delete(name);
+
 // The chosen takes in space, beside the plan and its last run.
 async function drawGuide() {
   if (!page.view || $("view-guide").hidden) return;
   const inSight = takes.filter((take) => take.chosen).slice(0, MOST_DRAWN), line = wantedLine();
-  await Promise.all(inSight.filter(({ name }) => !tracks.has(name)).map(async ({ name }) => {
-    tracks.set(name, { tool_m: (await request(`/recordings/${encodeURIComponent(name)}`)).tool_m, off: {} });
-  }));
-  const ends = line && new URLSearchParams([["from_m", line[0]], ["to_m", line[1]]].flatMap(([end, place]) => place.map((x) => [end, x])));
-  await Promise.all(inSight.filter(({ name }) => line && !tracks.get(name).off[line]).map(async ({ name }) => {
-    tracks.get(name).off[line] = await request(`/recordings/${encodeURIComponent(name)}/errors?${ends}`);
+  await Promise.all(inSight.map(async ({ name }) => {
+    track(name).tool_m ??= (await request(`/recordings/${encodeURIComponent(name)}`)).tool_m;
+    if (line) await offLine(name, line);
   }));
   for (const take of inSight.filter(({ fresh }) => fresh && line)) {
     const share = Math.round(100 * shareOf(tracks.get(take.name).tool_m, line));

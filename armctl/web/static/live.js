@@ -2,7 +2,9 @@
 
 import { chart } from "/charts.js";
 
-const MINUTE_S = 60;
+const [MINUTE_S, LEAST_S] = [60, 10];
+// As much of the last minute as there is.
+const wide = (_, first_s) => [Math.min(-LEAST_S, first_s), 0];
 const degrees = (rad) => rad * 180 / Math.PI;
 // What is drawn where: how much of it is shown at least, and where it stands.
 const TOLD = {
@@ -27,11 +29,11 @@ export function drawLive() {
   const [now_s, joints] = seen.at(-1), x = seen.map(([time_s]) => time_s - now_s);
   const bus = (name, of) => ({ name, x, y: seen.map(([, , cycle]) => of(cycle)) });
   for (const [id, [span, of]] of Object.entries(TOLD)) {
-    chart(id, { x: "seconds", span, wide: [-MINUTE_S, 0] }).draw(joints.map(({ name }, i) => ({
+    chart(id, { x: "seconds", span, wide }).draw(joints.map(({ name }, i) => ({
       name, x, y: seen.map(([, then], k) => then[i].position_rad === null ? null : of(then[i], seen[Math.max(0, k - 1)][1][i])),
     })));
   }
-  chart("live-bus", { x: "seconds", low: 0, span: 10, wide: [-MINUTE_S, 0] }).draw([
+  chart("live-bus", { x: "seconds", low: 0, span: 10, wide }).draw([
     bus("the bus, ms a tick", ({ bus_us }) => bus_us / 1000), bus("asked again, in a minute", ({ retries }) => retries),
   ]);
 }

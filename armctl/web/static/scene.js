@@ -1,12 +1,9 @@
 // The arm in space: bodies on its joints, the posture that is asked for as a ghost, floor, lines and paths. Lengths are
 // in metres, z is up. A picture is drawn only when something in it has changed.
 
+import { across, Bodies, vector } from "/bodies.js";
 import * as three from "/three.js";
 
-const SERVO = [0.05, 0.032, 0.038];  // an AX-12A: along the link, across, along its axis
-const LINK_RADIUS = 0.009;
-const FINGER = 0.045;
-const CLOSE = 1e-3;
 // A ball is grasped within this distance; a pointer that went no farther than that has clicked [pixels].
 const [GRASP_PX, CLICK_PX] = [16, 5];
 // A new posture is reached by the time the next one is expected.
@@ -14,105 +11,13 @@ const GLIDE_MS = 100;
 // A browser that draws slower than this is not asked to glide for a while: a click comes first. The mean time between two
 // pictures follows each new one by a share: one that comes late, as the first ones do, is not slowness yet.
 const [SLOW_MS, REST_MS, SHARE] = [50, 3000, 0.1];
-// The arm that the bodies above are the right size for, stretched.
-const USUAL_REACH = 0.45;
+// Of the picture, what a view of the arm fills at first, or of paths; a joint farther out leaves it.
+const [FILLED, OF_PATHS, EDGE] = [0.8, 0.9, 0.96];
+// Of the reach: what is in sight at least, to each side of the base and above.
+const LEAST_SEEN = [0.3, 0.6];
 
-const vector = (point) => new three.Vector3(...point);
 // A colour, or that of the page by its name.
 const css = (colour) => colour.startsWith("--") ? getComputedStyle(document.body).getPropertyValue(colour).trim() : colour;
-
-// Turns a cylinder's or capsule's axis (y) to a direction.
-const along = (direction) => new three.Quaternion().setFromUnitVectors(new three.Vector3(0, 1, 0), direction.clone().normalize());
-
-// Something across an axis, nearest to what is wanted.
-function across(axis, wanted) {
-  for (const some of [wanted, new three.Vector3(1, 0, 0), new three.Vector3(0, 1, 0)]) {
-    const part = some.clone().addScaledVector(axis, -some.dot(axis));
-    if (part.length() > 0.3 * some.length() && part.length() > CLOSE) return part.normalize();
-  }
-  return null;
-}
-
-// An arm of bodies. `description`: `axes`, a `place_m` and a `direction` for each joint at position 0, in the base
-// frame; `tool_m` there; `gripper`, or null: which joint it is, and where it is open and closed.
-class Bodies {
-  constructor({ axes, tool_m, gripper, floor_m }, materials) {
-    const places = axes.map(({ place_m }) => vector(place_m)), directions = axes.map(({ direction }) => vector(direction).normalize());
-    const tool = vector(tool_m), stretched = [...places, tool].reduce((sum, place, i, all) => sum + (i ? place.distanceTo(all[i - 1]) : 0), 0);
-    const size = Math.max(0.7, stretched / USUAL_REACH);
-    this.root = new three.Group();
-    this.directions = directions;
-    this.turning = [];
-    let parent = this.root, origin = new three.Vector3();
-    this.column(new three.Vector3(0, 0, floor_m), places[0], 2.2 * LINK_RADIUS * size, materials.servo);
-    places.forEach((place, i) => {
-      const before = i ? places[i - 1] : new three.Vector3(0, 0, floor_m), after = places[i + 1] || tool;
-      this.servo(parent, place.clone().sub(origin), directions[i], place.clone().sub(before), size, materials.servo);
-      const joint = new three.Group();
-      joint.position.copy(place).sub(origin);
-      parent.add(joint);
-      this.turning.push(joint);
-      this.link(joint, after.clone().sub(place), i === places.length - 1 ? FINGER : 0, size, materials.link);
-      [parent, origin] = [joint, place];
-    });
-    this.hand(parent, tool.clone().sub(origin), directions.at(-1), gripper, size, materials);
-    this.tip = new three.Object3D();
-    this.tip.position.copy(tool).sub(origin);
-    parent.add(this.tip);
-  }
-
-  add(parent, geometry, material, position, turned) {
-    const mesh = new three.Mesh(geometry, material);
-    mesh.position.copy(position);
-    if (turned) mesh.quaternion.copy(turned);
-    parent.add(mesh);
-    return mesh;
-  }
-
-  column(from, to, radius, material) {
-    const way = to.clone().sub(from);
-    if (way.length() < CLOSE) return;
-    this.add(this.root, new three.CylinderGeometry(radius, 1.6 * radius, way.length(), 32), material, from.clone().addScaledVector(way, 0.5), along(way));
-  }
-
-  servo(parent, at, axis, from, size, material) {
-    const length = across(axis, from);
-    const turned = new three.Quaternion().setFromRotationMatrix(new three.Matrix4().makeBasis(length, axis.clone().cross(length), axis));
-    this.add(parent, new three.BoxGeometry(...SERVO.map((side) => side * size)), material, at.clone().addScaledVector(length, -0.012 * size), turned);
-  }
-
-  link(joint, way, short, size, material) {
-    const length = way.length() - short * size;
-    if (length < CLOSE) return;
-    const geometry = new three.CapsuleGeometry(LINK_RADIUS * size, length, 6, 16);
-    this.add(joint, geometry, material, way.clone().setLength(length / 2), along(way));
-  }
-
-  // Two fingers whose tips hold the tool's point between them.
-  hand(parent, tip, axis, gripper, size, { link, servo }) {
-    const forward = tip.length() > CLOSE ? tip.clone().normalize() : across(axis, new three.Vector3(1, 0, 0));
-    const aside = across(forward, axis) || across(forward, new three.Vector3(0, 0, 1));
-    const turned = new three.Quaternion().setFromRotationMatrix(new three.Matrix4().makeBasis(aside, forward, aside.clone().cross(forward)));
-    const length = FINGER * size, width = 0.006 * size;
-    this.add(parent, new three.BoxGeometry(0.05 * size, 0.008 * size, 0.022 * size), servo, tip.clone().addScaledVector(forward, -length), turned);
-    this.fingers = [-1, 1].map((side) => {
-      const mesh = this.add(parent, new three.BoxGeometry(width, length, 0.018 * size), link, tip.clone().addScaledVector(forward, -length / 2), turned);
-      return { mesh, at: mesh.position.clone(), aside: aside.clone().multiplyScalar(side), least: width / 2 + 0.001 };
-    });
-    [this.gripper, this.reach] = [gripper, 0.018 * size];
-    this.grip(0.5);
-  }
-
-  grip(open) {
-    for (const { mesh, at, aside, least } of this.fingers) mesh.position.copy(at).addScaledVector(aside, least + this.reach * Math.min(Math.max(open, 0), 1));
-  }
-
-  // Joint positions [rad]; those beyond the chain may follow.
-  pose(q) {
-    this.turning.forEach((joint, i) => joint.quaternion.setFromAxisAngle(this.directions[i], q[i]));
-    if (this.gripper) this.grip((q[this.gripper.index] - this.gripper.closed_rad) / (this.gripper.open_rad - this.gripper.closed_rad));
-  }
-}
 
 export class ArmView {
   // Draws into an element, which has a size of its own.
@@ -126,7 +31,10 @@ export class ArmView {
     this.camera.up.set(0, 0, 1);
     this.controls = new three.OrbitControls(this.camera, this.renderer.domElement);
     this.controls.maxPolarAngle = 0.55 * Math.PI;
-    this.controls.addEventListener("change", () => this.redraw());
+    this.controls.addEventListener("change", () => {
+      this.turned ||= !this.framing;
+      this.redraw();
+    });
     // Told where a place of the picture is that was clicked, or that one of the balls was led there.
     [this.picked, this.led, this.dragged] = [null, null, null];
     this.hear(this.renderer.domElement);
@@ -158,19 +66,52 @@ export class ArmView {
     this.ghost = new Bodies(arm, { servo: this.materials.ghost, link: this.materials.ghost });
     this.probe = new Bodies(arm, this.materials);
     this.ghost.root.visible = false;
-    this.wanted = null;
+    this.shown = this.wanted = null;
     this.scene.add(this.bodies.root, this.ghost.root);
     this.paint();
     this.look();
   }
 
-  // From the front and aside, the whole arm in sight.
+  // From the front and aside, all of it in sight: the arm, where it is to be, and the lines. It stays so until somebody
+  // turns the picture.
   look() {
-    const far = 2.25 * this.reach * (this.element.clientWidth < 500 ? 1.15 : 1);
-    this.camera.position.set(0.62 * far, -0.72 * far, 0.5 * far);
-    this.controls.target.set(0.08 * this.reach, 0, 0.3 * this.reach);
+    this.turned = false;
+    const [aside, above] = LEAST_SEEN.map((share) => share * this.reach), [[x, y, z]] = this.floor;
+    const places = [...this.places(), ...[-1, 1].flatMap((side) => [[x + side * aside, y, z], [x, y + side * aside, z]]).map(vector), new three.Vector3(x, y, z + above)];
+    for (const { line } of this.curves.values()) {
+      const { position } = line.geometry.attributes;
+      for (let i = 0; line.visible && i < position.count; i++) places.push(new three.Vector3().fromBufferAttribute(position, i));
+    }
+    this.frame(places, new three.Vector3(0.62, -0.72, 0.5), FILLED);
+  }
+
+  // Where the joints and the tool are, and are to be.
+  places() {
+    return [this.bodies, this.ghost].filter(({ root }) => root.visible).flatMap((bodies) => bodies.places());
+  }
+
+  // Look from a direction so nearly that places [m], which get lost, fill a share of the picture.
+  frame(places, from, share) {
+    const middle = new three.Box3().setFromPoints(places).getCenter(this.controls.target);
+    const back = from.clone().normalize(), side = this.camera.up.clone().cross(back).normalize(), high = back.clone().cross(side);
+    const tall = share * Math.tan(this.camera.fov * Math.PI / 360), wide = tall * this.camera.aspect;
+    const far = Math.max(0.05, ...places.map((place) => {
+      place.sub(middle);
+      return place.dot(back) + Math.max(Math.abs(place.dot(side)) / wide, Math.abs(place.dot(high)) / tall);
+    }));
+    this.camera.position.copy(middle).addScaledVector(back, far);
+    this.framing = true;
     this.controls.update();
+    this.framing = false;
     this.redraw();
+  }
+
+  // Keep the arm in the picture, if nobody has turned it.
+  follow() {
+    if (this.turned) return;
+    this.camera.updateMatrixWorld();
+    const leaves = ({ x, y }) => Math.max(Math.abs(x), Math.abs(y)) > EDGE;
+    if (this.places().some((place) => leaves(place.project(this.camera)))) this.look();
   }
 
   // The colours of the page.
@@ -196,7 +137,12 @@ export class ArmView {
   pose(q, glide = false) {
     const now = performance.now();
     if (glide && this.shown && now > this.rested) [this.from, this.wanted, this.begun] = [this.shown, q, now];
-    else [this.from, this.shown, this.wanted, this.begun] = [q, q, q, now - GLIDE_MS];
+    else {
+      const first = !this.shown;
+      [this.from, this.shown, this.wanted, this.begun] = [q, q, q, now - GLIDE_MS];
+      this.bodies.pose(q);
+      if (first) this.look();
+    }
     this.redraw();
   }
 
@@ -204,6 +150,7 @@ export class ArmView {
   aim(q) {
     if (q) this.ghost.pose(q);
     this.ghost.root.visible = q !== null;
+    if (q) this.follow();
     this.redraw();
   }
 
@@ -315,18 +262,11 @@ export class ArmView {
     for (const { line } of this.curves.values()) line.visible = false;
     some.forEach(([points, colour, dashed], i) => this.curve(`${colour} ${i}`, points, colour, dashed));
     const places = some.flatMap(([points]) => points.map(vector)), longest = some.map(([points]) => points).sort((a, b) => b.length - a.length)[0];
-    const box = new three.Box3().setFromPoints(places), { x, y } = box.getCenter(this.controls.target);
+    const box = new three.Box3().setFromPoints(places), { x, y } = box.getCenter(new three.Vector3());
     this.floor = [[x, y, box.min.z], box.getSize(new three.Vector3()).length() / 2, 0.01];
-    // From aside and above of the way that the longest one leads, so far off that every place is in sight.
+    // From aside and above of the way that the longest one leads.
     const way = across(this.camera.up, vector(longest.at(-1)).sub(vector(longest[0]))) ?? new three.Vector3(0, 1, 0);
-    const from = way.clone().cross(this.camera.up).addScaledVector(this.camera.up, 0.6).normalize(), high = way.clone().cross(from);
-    const tall = Math.tan(this.camera.fov * Math.PI / 360), wide = tall * this.camera.aspect;
-    const far = Math.max(0.05, ...places.map((place) => {
-      place.sub(this.controls.target);
-      return place.dot(from) + Math.max(Math.abs(place.dot(way)) / wide, Math.abs(place.dot(high)) / tall);
-    }));
-    this.camera.position.copy(this.controls.target).addScaledVector(from, 1.1 * far);
-    this.controls.update();
+    this.frame(places, way.cross(this.camera.up).addScaledVector(this.camera.up, 0.6), OF_PATHS);
     this.paint();
   }
 
@@ -336,6 +276,7 @@ export class ArmView {
     this.renderer.setSize(width, height);
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();
+    if (this.bodies && !this.turned) this.look();
     this.redraw();
   }
 
@@ -359,6 +300,7 @@ export class ArmView {
       const share = Math.min(1, (performance.now() - this.begun) / GLIDE_MS);
       this.shown = this.wanted.map((q, i) => this.from[i] + share * (q - this.from[i]));
       this.bodies.pose(this.shown);
+      this.follow();
       this.pace(share < 1);
     }
     this.renderer.render(this.scene, this.camera);

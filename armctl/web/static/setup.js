@@ -60,8 +60,7 @@ function drawSteps() {
 
 function ask({ key, text, choices }, number) {
   const lines = text.split("\n"), drawn = key === "again" ? 0 : lines.length - 1, written = key === "name" || (key === "port" && !choices.length);
-  $("setup-picture").textContent = lines.slice(0, drawn).join("\n");
-  $("setup-picture").hidden = !drawn;
+  drawPose(lines.slice(0, drawn));
   $("setup-text").textContent = lines.slice(drawn).join("\n");
   $("setup-word-part").hidden = !written;
   $("setup-label").textContent = WORDS[key] ?? "";
@@ -80,6 +79,25 @@ function ask({ key, text, choices }, number) {
   else if (handing && key === "again" && text.includes("look at the tool")) answer(number, "again");
   else if (written) $("setup-word").focus();
   else $("setup-choices").firstChild.focus({ preventScroll: true });
+}
+
+// The pose of a question, which is drawn in characters for a terminal, each twice as high as it is wide.
+function drawPose(lines) {
+  const rows = lines.map((line) => [...line]), width = Math.max(0, ...rows.map(({ length }) => length));
+  const radius = { "\u00b7": 0.8, o: 1.4, x: 1.4 }, parts = [];
+  rows.forEach((row, y) => row.forEach((sign, x) => {
+    if (sign === "_") parts.push(["rect", { x, y: 2 * y + 0.4, width: 1.05, height: 0.4 }]);
+    else if (radius[sign]) parts.push(["circle", { cx: x + 0.5, cy: 2 * y, r: radius[sign], class: sign === "x" ? "tip" : sign === "o" ? "joint" : "" }]);
+  }));
+  parts.sort(([, a], [, b]) => (a.r ?? 0) - (b.r ?? 0));  // joints over links
+  const picture = $("setup-picture");
+  picture.setAttribute("viewBox", `-2 -2 ${width + 4} ${2 * rows.length + 2}`);
+  picture.toggleAttribute("hidden", !rows.length);
+  picture.replaceChildren(...parts.map(([kind, how]) => {
+    const part = document.createElementNS("http://www.w3.org/2000/svg", kind);
+    for (const [name, value] of Object.entries(how)) part.setAttribute(name, value);
+    return part;
+  }));
 }
 
 const answer = (number, word) => act(null, () => post("/setup/answer", { number, word }));
