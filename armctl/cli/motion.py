@@ -65,12 +65,9 @@ def jog_command(output: Output, joint: str | None, axis: str | None, speed: floa
             _by_keys(output, client.call, abs(speed))
         else:
             turn = max(-10.0, min(10.0, math.radians(speed) if deg else speed))
-            how = (
-                {"joints_rad_s": [turn * (name == joint) for name in names]}
-                if axis is None
-                else {"tool_m_s": _lead(f"{axis}+", speed)}
-            )
-            for method, params in heartbeats(seconds, **how):
+            joints = [turn * (name == joint) for name in names] if joint else []
+            tool = _lead(f"{axis}+", speed) if axis else []
+            for method, params in heartbeats(seconds, joints_rad_s=joints, tool_m_s=tool):
                 client.call(method, **params)
         status = client.call("status")
     position_m = status["tool"]["position_m"]

@@ -107,8 +107,7 @@ class Host:
             if event.severity != "info":
                 logger.warning("%s: %s", event.code, event.text)
                 if self._watch is not None and self.leases.current is not None:
-                    told = {"warning": event.code, "text": event.text}
-                    self.leases.current.client.notify("progress", told)
+                    self.leases.current.client.notify("progress", {"warning": event.code, "text": event.text})
         ticked, self._ticked = self._ticked, asyncio.Event()
         ticked.set()
 

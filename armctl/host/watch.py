@@ -96,14 +96,12 @@ def refuse_to_begin(q_now: Sequence[float], joints_rad_s: Sequence[float], arm: 
     Raises:
         RequestRefused: code LIMIT, naming the joint that stands at its limit.
     """
-    stands = [
-        f"{joint.name} stands at its limit, {math.degrees(limit):.1f} deg, and would have to turn past it"
-        for joint, q, v in zip(arm.joints, q_now, joints_rad_s, strict=True)
-        for limit in (joint.limits_rad[v > 0.0],)
-        if v and abs(limit - q) < min(AT_LIMIT_RAD, AT_LIMIT_S * abs(v))
-    ]
+    ways = zip(arm.joints, q_now, joints_rad_s, strict=True)
+    to = [(joint.name, joint.limits_rad[v > 0.0], q, abs(v)) for joint, q, v in ways]
+    stands = [(name, limit) for name, limit, q, v in to if abs(limit - q) < min(AT_LIMIT_RAD, AT_LIMIT_S * v)]
     if stands and (led or len(stands) == sum(map(bool, joints_rad_s))):
-        raise RequestRefused("LIMIT", f"{stands[0]}; jog another way")
+        at = f"{stands[0][0]} stands at its limit, {math.degrees(stands[0][1]):.1f} deg"
+        raise RequestRefused("LIMIT", f"{at}, and would have to turn past it; jog another way")
 
 
 def refuse_collision(q_now: Sequence[float], joints_rad_s: Sequence[float], arm: ArmConfig, robot: Robot) -> None:

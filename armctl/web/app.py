@@ -27,6 +27,8 @@ from armctl.errors import ArmctlError, ConfigError, LogError, NoDaemon
 from armctl.files import tokens_path
 from armctl.host.jsonrpc import ProtocolError, error_data, strict_json
 from armctl.host.methods import Confirmed, JogBeat, Named, Nothing, Rate
+from armctl.trajectory.grasp import GripRequest
+from armctl.trajectory.playback import PlayRequest
 from armctl.trajectory.target import MoveRequest
 from armctl.web.connections import Connections
 from armctl.web.files import Files, NamePath
@@ -49,7 +51,8 @@ STATUSES: dict[type[ArmctlError], int] = {NoDaemon: 503, LogError: 404, ConfigEr
 
 # What is handed to the daemon as it is, and what a body there may be.
 COMMANDS = tomllib.loads(Path(__file__).with_name("commands.toml").read_text("utf-8"))
-BODIES: dict[str, type[Frozen]] = {body.__name__: body for body in (Confirmed, MoveRequest, Named, Nothing, Rate)}
+KINDS = (Confirmed, GripRequest, MoveRequest, Named, Nothing, PlayRequest, Rate)
+BODIES: dict[str, type[Frozen]] = {body.__name__: body for body in KINDS}
 
 # An end of a line in an address.
 End = Annotated[list[Annotated[float, Field(allow_inf_nan=False)]], Query(min_length=3, max_length=3)]

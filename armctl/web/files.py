@@ -6,7 +6,7 @@ import json
 import math
 from dataclasses import asdict
 from pathlib import Path as FilePath
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from fastapi import APIRouter, Path, Query, Response
@@ -18,7 +18,8 @@ from armctl.config import NAME_PATTERN, ArmConfig, Config, Frozen, Name
 from armctl.errors import LogError, RequestRefused
 from armctl.files import data_dir
 from armctl.host.jobs import RecordedRequest
-from armctl.host.methods import HowToRun, Nothing
+from armctl.host.jsonrpc import MAX_LINE_BYTES
+from armctl.host.methods import HowToRun, Named, Nothing
 from armctl.kinematics import robots
 from armctl.kinematics.chain import joint_axes, tool_position
 from armctl.recording import search
@@ -28,10 +29,11 @@ from armctl.sim.control import SimulatorClient, control_path
 from armctl.trajectory.bounds import Joints
 from armctl.trajectory.course import bent
 from armctl.trajectory.plan import Plan, Point
+from armctl.trajectory.program import program_from_text
 from armctl.web.connections import Connections
 
-# Of what is found in the logs, so many are shown, the newest.
-MOST_FOUND = 200
+# Of what is found in the logs, so many are shown, the newest; and what a request to the daemon may hold [bytes].
+MOST_FOUND, MOST_TOLD = 200, MAX_LINE_BYTES - 512
 NamePath = Annotated[str, Path(pattern=NAME_PATTERN)]
 Seconds = Annotated[float, Query(ge=0.0, allow_inf_nan=False)]
 
@@ -47,6 +49,13 @@ class BendBody(Frozen):
 
     point: int = Field(ge=1)
     to_m: Point
+
+
+class ProgramBody(Named):
+    """A program in YAML, and the step that a run begins with: where it stands, if none is named."""
+
+    text: str = Field(max_length=MAX_LINE_BYTES)
+    from_step: str | None = None
 
 
 class HandBody(Frozen):
@@ -86,6 +95,7 @@ class Files:
             ("POST", "/optimize", self.optimize),
             ("POST", "/plans/{name}/run", self.run),
             ("POST", "/plans/{name}/bend", self.bend),
+            ("POST", "/program/{what}", self.program),
             ("GET", "/hand", self.seen),
             ("POST", "/hand", self.hand),
             ("POST", "/hand/hold", self.hold),
@@ -153,6 +163,16 @@ class Files:
 
     async def _kept(self) -> set[str]:
         return {plan["name"] for plan in (await self._daemon.call("plans_list"))["plans"]}
+
+    # --------------------------------------------------------------------------------------------------- programs
+
+    async def program(self, what: Literal["check", "run"], body: ProgramBody) -> dict[str, Any]:
+        """Check a program from where the arm is, or run it to its end; each step that is done comes over the stream."""
+        program = program_from_text(body.text, "the program", body.name).model_dump(exclude_none=True)
+        if len(json.dumps(program)) > MOST_TOLD:  # the daemon would close the connection, and stop what moves by it
+            raise RequestRefused("TOO_LARGE", f"more than {MOST_TOLD} bytes when written out; make two of it")
+        program |= {"from_step": body.from_step} if what == "run" else {}
+        return await self._daemon.call(f"program_{what}", **program)
 
     # ----------------------------------------------------------------------------------------- the simulator's hand
 

@@ -25,7 +25,7 @@ from armctl.host.allowance import TokenBucket
 from armctl.host.jsonrpc import MAX_LINE_BYTES, ProtocolError, strict_json
 from armctl.web.tokens import Person, Tokens
 
-TOKEN_HEADER = "x-armctl-token"
+TOKEN_HEADER, ROLE_HEADER = "x-armctl-token", "x-armctl-role"
 # Wrong tokens of all senders together, a second and at once.
 WRONG_RATE = 5.0
 WRONG_BURST = 50.0
@@ -76,12 +76,13 @@ class Guard:
         if scope["type"] == "lifespan":
             await self._app(scope, receive, send)
             return
-        headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]}
+        headers, told = {name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]}, HEADERS
         try:
             self._check_sender(headers, scope)
             if scope["type"] == "http":
                 if scope["path"].startswith("/api"):
-                    PERSON.set(self._checked(headers, scope).name)
+                    PERSON.set((person := self._checked(headers, scope)).name)
+                    told = HEADERS | {ROLE_HEADER: person.role}
                 receive = await _checked_body(scope, headers, receive)
         except Refused as refused:
             await _refuse(scope, receive, send, refused)
@@ -91,7 +92,7 @@ class Guard:
             if message["type"] == "http.response.start":
                 message.setdefault("headers", [])
                 sent = MutableHeaders(scope=message)
-                for name, value in HEADERS.items():
+                for name, value in told.items():
                     sent.setdefault(name, value)
             await send(message)
 

@@ -308,8 +308,8 @@ def test_the_whole_arm_is_in_the_picture_until_somebody_turns_it(page: Page, sta
     energised(page)
     with Client(stand.socket) as client:
         before = [joint["position_rad"] for joint in client.call("status")["joints"]]
-        for size in ({"width": 1280, "height": 900}, {"width": 390, "height": 844}):
-            page.set_viewport_size(size)
+        for width, height in ((1280, 900), (390, 844)):
+            page.set_viewport_size({"width": width, "height": height})
             for base_deg, turned in ((90.0, False), (-90.0, False), (0.0, True)):  # stretched out to each side
                 client.call("move", joints_rad=[*map(math.radians, (base_deg, 40.0, -10.0, 0.0, 0.0, 0.0))])
                 stand.ticks(0.3)
@@ -429,7 +429,7 @@ def test_every_view_fits_names_its_controls_and_keeps_stop_in_sight(
     page = context.new_page()
     page.goto(stand.address)
     expect(page.locator("#tick")).not_to_have_text("–", timeout=PATIENCE_MS)
-    for view in ("arm", "live", "guide", "compare", "logs", "setup"):
+    for view in ("arm", "live", "guide", "program", "compare", "logs", "setup"):
         page.click(f"nav [data-view={view}]")
         assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth"), f"{view} is too wide"
         cut = page.evaluate(
@@ -441,7 +441,7 @@ def test_every_view_fits_names_its_controls_and_keeps_stop_in_sight(
         assert box is not None
         assert 0 <= box["y"] <= 844 - box["height"]
         nameless = page.evaluate(
-            "[...document.querySelectorAll('button, input, select')].filter(e => e.checkVisibility() &&"
+            "[...document.querySelectorAll('button, input, select, textarea')].filter(e => e.checkVisibility() &&"
             " !(e.textContent.trim() || e.labels && e.labels.length || e.ariaLabel)).map(e => e.outerHTML)"
         )
         assert nameless == []

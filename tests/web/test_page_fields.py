@@ -13,7 +13,7 @@ from tests.web.test_dashboard import CHROMIUM, PATIENCE_MS, pytestmark
 
 __all__ = ["pytestmark"]
 
-VIEWS = ("arm", "live", "guide", "compare", "logs", "setup")
+VIEWS = ("arm", "live", "guide", "program", "compare", "logs", "setup")
 NONSENSE = [
     "", " ", "x", "1, 2", "1, 2, 3, 4", "1,,2", "1e999", "-7", "2.5", "99999", "<b>", "nan, 0, 0", "..", "a b", "a/b",
     "0.1, 0.1, 99999", "0x10, 0, 0.1, ", "ü", "-", "5 s", "1e9", "\U0001f9be", "x" * 5000,
@@ -74,7 +74,7 @@ def name(value: str) -> bool:
 FIELDS: dict[str, Callable[[str], bool] | None] = {
     "tool-place": place(10_000), "from": place(10), "to": place(10), "take-name": name, "via": number(0, 20),
     "duration_s": number(0.5, 600, whole=False), "bend-place": place(10_000), "refine-most": number(1, 20),
-    "log-words": None, "setup-word": name,
+    "log-words": None, "setup-word": name, "program-name": name,
 }  # fmt: skip
 # Of each value what the field made of it, what is told, and whether that is seen in the field's own card.
 WRITE = """(field, values) => values.map((value) => {
@@ -96,7 +96,7 @@ def test_every_field_says_in_words_beside_it_what_is_wrong(unserved: Page) -> No
             page.click("#setup-choices button")
             expect(page.locator("#setup-word")).to_be_visible()
         page.evaluate("document.getElementById('bend-form').hidden = false")
-        for field in page.locator(f"#view-{view} input:not([type=range]):not([type=checkbox])").all():
+        for field in page.locator(f"#view-{view} input:not([type=range], [type=checkbox], [type=file])").all():
             key = field.evaluate("field => field.id || field.name")
             seen.add(key)
             judge = FIELDS[key]

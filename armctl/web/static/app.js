@@ -7,6 +7,7 @@ import { distance, wantedLine } from "/geometry.js";
 import { enterGuide, guide, pointLed, progressed, showTeaching, wireGuide } from "/guide.js";
 import { drawLive, remember } from "/live.js";
 import { loadLogs, wireLogs } from "/logs.js";
+import { enterProgram, stepped, wireProgram } from "/program.js";
 import { enterSetUp, settingUp, showSetUp, wireSetUp } from "/setup.js";
 import { $, act, after, armView, asked, confirmed, degrees, logIn, millimetres, page, post, request, tell, token, torqueOn, views, words } from "/page.js";
 
@@ -37,7 +38,7 @@ function connect() {
   socket.onmessage = (event) => {
     const message = JSON.parse(event.data);
     if (message.kind === "snapshot") show(message.snapshot);
-    else if (message.kind === "progress") progressed(message);
+    else if (message.kind === "progress") (message.step ? stepped : progressed)(message);
     else if (message.kind === "setup") {
       showSetUp(message);
       show(page.snapshot);
@@ -162,6 +163,8 @@ function makeJointRows() {
 function controls() {
   const state = page.snapshot ? page.snapshot.state : "unreachable";
   const command = (name) => document.querySelector(`[data-command="${name}"]`);
+  $("look-only").hidden = !page.looksOnly;
+  for (const part of document.querySelectorAll(".commands")) part.disabled = page.looksOnly;
   command("torque-on").disabled = state !== "off";
   command("park").disabled = state !== "holding";
   command("pause").disabled = state !== "moving" || !(page.snapshot.rate > 0);
@@ -176,6 +179,7 @@ function controls() {
   $("take").textContent = guide.taking ? "End the take" : "Begin a take";
   $("teach-end").disabled = !teaching || guide.taking !== null;
   // Between two runs of a refinement the arm holds.
+  $("program-run").disabled = !(state === "holding" || state === "off");
   for (const id of ["run", "refine"]) $(id).disabled = guide.running || !$("plan-choice").value || !(state === "holding" || state === "off");
 }
 
@@ -193,7 +197,7 @@ let lineDrawn = "";
 
 // `glide`: on the way there from what is shown, if there is any.
 function drawArm(glide = false) {
-  if (!page.view || ($("view-arm").hidden && $("view-guide").hidden) || document.hidden || !page.snapshot) return;
+  if (!page.view || $("scene").closest("section").hidden || document.hidden || !page.snapshot) return;
   const q = page.snapshot.joints.map((joint) => joint.position_rad);
   if (q.includes(null)) return;
   const line = wantedLine() || [], still = page.view.wanted?.every((angle, i) => Math.abs(angle - q[i]) < STILL_RAD);
@@ -221,6 +225,10 @@ const ENTER = {
   guide: () => {
     showArmIn("guide-slot");
     return enterGuide();
+  },
+  program: () => {
+    showArmIn("program-slot");
+    return enterProgram();
   },
   compare: loadCompare, logs: loadLogs, setup: enterSetUp,
 };
@@ -256,6 +264,7 @@ function wire() {
   });
   for (const slider of document.querySelectorAll(".rate")) slider.addEventListener("input", () => setRate(Number(slider.value) / 100));
   wireGuide();
+  wireProgram();
   wireLogs();
   wireSetUp();
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", repaint);
@@ -269,6 +278,7 @@ act(null, async () => {
   const arm = page.arm = await request("/arm");
   $("arm-id").textContent = arm.arm_id;
   $("take-by-hand").hidden = !arm.simulated;
+  $("gripper").hidden = !arm.gripper;
   page.view = armView("scene", arm);
   if (page.view) page.view.led = pointLed;
   drive = new Drive(post, page.view);

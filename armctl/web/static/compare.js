@@ -3,7 +3,7 @@
 import { COLOURS, drawDeviation, namesOf } from "/charts.js";
 import { onTheWay, proper, wantedLine } from "/geometry.js";
 import { forget, offLine } from "/guide.js";
-import { $, act, armView, confirmed, request, spoken } from "/page.js";
+import { $, act, armView, confirmed, millimetres, page, post, request, spoken, torqueOn } from "/page.js";
 
 let pathView = null;
 // A figure of a column whose head says what it is in.
@@ -56,13 +56,33 @@ function rows(kind, items, figures) {
       forget(one.name);
       await act(null, loadCompare);
     });
-    row.insertCell().append(button);
+    const cell = row.insertCell();
+    cell.append(...(kind === "recordings" ? [playButton(one.name)] : []), button);
+    button.disabled = page.looksOnly;
   }
   if (!items.length) {
     const cell = body.insertRow().insertCell();
     cell.colSpan = 5;
     cell.textContent = "none yet";
   }
+}
+
+function playButton(name) {
+  const button = Object.assign(document.createElement("button"), { type: "button", textContent: "Play", disabled: page.looksOnly });
+  button.setAttribute("aria-label", `play ${name}`);
+  button.addEventListener("click", () => act(button, async () => {
+    if (page.snapshot?.state === "off") await torqueOn();
+    $("play-figures").textContent = `${spoken(name)} is played: slowly to its begin, then as it was taught`;
+    try {
+      const { mean_error_mm, max_error_mm } = await post("/play", { name });
+      $("play-figures").textContent = `${spoken(name)} was played, ${millimetres(mean_error_mm)} off what was taught on average, ${millimetres(max_error_mm)} at most`;
+      await loadCompare();
+    } catch (error) {
+      $("play-figures").textContent = error.code === "STOPPED" ? "stopped, as somebody asked: the arm holds where it came to" : "";
+      if (error.code !== "STOPPED") throw error;
+    }
+  }));
+  return button;
 }
 
 async function drawCompare() {

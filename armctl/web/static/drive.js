@@ -32,6 +32,7 @@ export class Drive {
     $("tool-pick").hidden = !this.view;
     $("tool-pick").addEventListener("click", () => this.pointing($("tool-pick").getAttribute("aria-pressed") !== "true"));
     for (const button of document.querySelectorAll("[data-jog]")) this.wire(button, AXES[button.dataset.jog]);
+    for (const button of document.querySelectorAll("[data-grip]")) button.addEventListener("click", () => this.grip(button.dataset.grip));
     addEventListener("blur", () => this.letGo());
     document.addEventListener("visibilitychange", () => this.letGo());
   }
@@ -101,7 +102,7 @@ export class Drive {
       if (at !== null && !this.targets.has(i)) joint.slider.value = degrees(at).toFixed(1);
     });
     for (const { slider } of this.joints) slider.disabled = !STANDING.includes(state);
-    $("tool-go").disabled = state !== "holding";
+    for (const button of [$("tool-go"), ...document.querySelectorAll("[data-grip]")]) button.disabled = state !== "holding";
     for (const button of document.querySelectorAll("[data-jog]")) button.disabled = !["holding", "jogging"].includes(state);
     $("drive-hint").hidden = state !== "off";
     this.changed();
@@ -115,13 +116,24 @@ export class Drive {
     }
   }
 
-  async go(where, place) {
+  go(where, place) {
+    return this.ask("/move", where, place);
+  }
+
+  async grip(what) {
+    const answer = await this.ask("/grip", { grip: what });
+    if (answer && what === "close") this.tell(answer.gripped ? "" : "nothing is gripped");
+  }
+
+  async ask(path, body, place) {
     this.tell("");
     try {
-      await this.post("/move", where);
+      const answer = await this.post(path, body);
       this.reset();
+      return answer;
     } catch (error) {
       this.tell(error.code === "STOPPED" ? "stopped, as somebody asked" : error.message, place);
+      return null;
     }
   }
 

@@ -8,8 +8,8 @@ export const degrees = (rad) => rad * 180 / Math.PI;
 // A name for people: the instant that a program put into it, as a time of day.
 export const spoken = (name) => name.replace(/-\d{4}(\d\d)(\d\d)T(\d\d)(\d\d)(\d\d)\.\d+Z$/, ", $1-$2 $3:$4:$5");
 export const millimetres = (value) => value === null || value === undefined ? "–" : `${value.toFixed(1)} mm`;
-// The arm as the server describes it, its last snapshot, and the view that shows it.
-export const page = { arm: null, snapshot: null, view: null };
+// The arm as the server describes it, its last snapshot, the view that shows it, and whether who is here may only look.
+export const page = { arm: null, snapshot: null, view: null, looksOnly: false };
 // Every view that was made.
 export const views = [];
 // What is to be looked at again after each request.
@@ -110,6 +110,8 @@ export async function request(path, { method = "GET", body } = {}) {
   } catch {
     throw new Refused("the dashboard's server does not answer; is `armctl web` running?");
   }
+  const role = response.headers.get("X-Armctl-Role");
+  if (role) page.looksOnly = role === "look";
   const answer = await response.json().catch(() => null);
   if (response.ok) return answer;
   const error = answer && answer.error;

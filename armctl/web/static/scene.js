@@ -13,6 +13,10 @@ const GLIDE_MS = 100;
 const [SLOW_MS, REST_MS, SHARE] = [50, 3000, 0.1];
 // Of the picture, what a view of the arm fills at first, or of paths; a joint farther out leaves it.
 const [FILLED, OF_PATHS, EDGE] = [0.8, 0.9, 0.96];
+// Where a view of the arm looks from. Where this share of how far off it is would do, it comes nearer.
+const [FROM, SMALL] = [new three.Vector3(0.62, -0.72, 0.5), 0.75];
+// The curve that comes and goes.
+const PASSING = "trail";
 // Of the reach: what is in sight at least, to each side of the base and above.
 const LEAST_SEEN = [0.3, 0.6];
 
@@ -61,6 +65,10 @@ export class ArmView {
   setArm(arm) {
     const reach = [...arm.axes.map(({ place_m }) => vector(place_m)), vector(arm.tool_m)];
     this.reach = reach.reduce((sum, place, i) => sum + (i ? place.distanceTo(reach[i - 1]) : 0), 0);
+    // How far the stretched arm comes, turned about its second joint, on the floor.
+    const [foot, ...beyond] = reach.slice(Math.min(1, reach.length - 2));
+    const arm_m = beyond.reduce((sum, place, i) => sum + place.distanceTo(i ? beyond[i - 1] : foot), 0);
+    this.around = Math.hypot(foot.x, foot.y) + Math.sqrt(Math.max(0, arm_m ** 2 - (foot.z - arm.floor_m) ** 2));
     this.floor = [[0, 0, arm.floor_m], this.reach + 0.05, 0.05];  // its middle, how far it goes, its squares
     this.bodies = new Bodies(arm, this.materials);
     this.ghost = new Bodies(arm, { servo: this.materials.ghost, link: this.materials.ghost });
@@ -72,17 +80,21 @@ export class ArmView {
     this.look();
   }
 
-  // From the front and aside, all of it in sight: the arm, where it is to be, and the lines. It stays so until somebody
-  // turns the picture.
-  look() {
-    this.turned = false;
+  // What is to be in sight: the arm, where it is to be, the lines, and a part of the floor.
+  shownPlaces() {
     const [aside, above] = LEAST_SEEN.map((share) => share * this.reach), [[x, y, z]] = this.floor;
     const places = [...this.places(), ...[-1, 1].flatMap((side) => [[x + side * aside, y, z], [x, y + side * aside, z]]).map(vector), new three.Vector3(x, y, z + above)];
-    for (const { line } of this.curves.values()) {
+    for (const [name, { line }] of this.curves) {
       const { position } = line.geometry.attributes;
-      for (let i = 0; line.visible && i < position.count; i++) places.push(new three.Vector3().fromBufferAttribute(position, i));
+      for (let i = 0; line.visible && name !== PASSING && i < position.count; i++) places.push(new three.Vector3().fromBufferAttribute(position, i));
     }
-    this.frame(places, new three.Vector3(0.62, -0.72, 0.5), FILLED);
+    return places;
+  }
+
+  // From the front and aside, all that is in the picture. It stays so until somebody turns the picture.
+  look() {
+    this.turned = false;
+    this.frame(this.fitted(this.shownPlaces(), FROM, FILLED));
   }
 
   // Where the joints and the tool are, and are to be.
@@ -90,28 +102,33 @@ export class ArmView {
     return [this.bodies, this.ghost].filter(({ root }) => root.visible).flatMap((bodies) => bodies.places());
   }
 
-  // Look from a direction so nearly that places [m], which get lost, fill a share of the picture.
-  frame(places, from, share) {
-    const middle = new three.Box3().setFromPoints(places).getCenter(this.controls.target);
+  // Where to look at, from which direction and how far off, so that places [m], which get lost, fill a share of the picture.
+  fitted(places, from, share) {
+    const middle = new three.Box3().setFromPoints(places).getCenter(new three.Vector3());
     const back = from.clone().normalize(), side = this.camera.up.clone().cross(back).normalize(), high = back.clone().cross(side);
     const tall = share * Math.tan(this.camera.fov * Math.PI / 360), wide = tall * this.camera.aspect;
     const far = Math.max(0.05, ...places.map((place) => {
       place.sub(middle);
       return place.dot(back) + Math.max(Math.abs(place.dot(side)) / wide, Math.abs(place.dot(high)) / tall);
     }));
-    this.camera.position.copy(middle).addScaledVector(back, far);
+    return { middle, back, far };
+  }
+
+  frame({ middle, back, far }) {
+    this.controls.target.copy(middle);
+    this.camera.position.copy(middle).addScaledVector(back, this.far = far);
     this.framing = true;
     this.controls.update();
     this.framing = false;
     this.redraw();
   }
 
-  // Keep the arm in the picture, if nobody has turned it.
+  // Keep the arm in the picture, and large in it, if nobody has turned it.
   follow() {
     if (this.turned) return;
     this.camera.updateMatrixWorld();
     const leaves = ({ x, y }) => Math.max(Math.abs(x), Math.abs(y)) > EDGE;
-    if (this.places().some((place) => leaves(place.project(this.camera)))) this.look();
+    if (this.places().some((place) => leaves(place.project(this.camera))) || this.fitted(this.shownPlaces(), FROM, FILLED).far < SMALL * this.far) this.look();
   }
 
   // The colours of the page.
@@ -126,11 +143,17 @@ export class ArmView {
     if (this.floor) {
       const [[x, y, z], half, square] = this.floor, count = 2 * Math.ceil(half / square);
       this.grid = new three.GridHelper(count * square, count, css(this.bodies ? "--rule" : "--edge"), css("--edge"));
+      if (this.around) this.grid.add(this.circle(this.around));
       this.grid.rotation.x = Math.PI / 2;
       this.grid.position.set(x, y, z);
       this.scene.add(this.grid);
     }
     this.redraw();
+  }
+
+  circle(radius) {
+    const points = Array.from({ length: 97 }, (_, i) => new three.Vector3(radius * Math.cos(i * Math.PI / 48), 0, radius * Math.sin(i * Math.PI / 48)));
+    return new three.Line(new three.BufferGeometry().setFromPoints(points), new three.LineBasicMaterial({ color: css("--rule") }));
   }
 
   // Where the joints are [rad]; `glide`: on the way there from what is shown.
@@ -266,7 +289,7 @@ export class ArmView {
     this.floor = [[x, y, box.min.z], box.getSize(new three.Vector3()).length() / 2, 0.01];
     // From aside and above of the way that the longest one leads.
     const way = across(this.camera.up, vector(longest.at(-1)).sub(vector(longest[0]))) ?? new three.Vector3(0, 1, 0);
-    this.frame(places, way.cross(this.camera.up).addScaledVector(this.camera.up, 0.6), OF_PATHS);
+    this.frame(this.fitted(places, way.cross(this.camera.up).addScaledVector(this.camera.up, 0.6), OF_PATHS));
     this.paint();
   }
 
