@@ -114,8 +114,9 @@ export function wireProgram() {
   text.value = localStorage.getItem(KEPT) ?? "";
   text.addEventListener("input", keep);
   file.addEventListener("change", () => act(null, async () => {
-    if (file.files.length) await open(file.files[0]);
-    file.value = "";
+    const [chosen] = file.files;
+    file.value = "";  // the same one may be chosen again, once it is mended
+    if (chosen) await open(chosen);
   }, text));
   $("program-here").addEventListener("click", () => act(null, addPose, text));
   $("program-play").addEventListener("click", () => act(null, () => add(`play: {name: ${$("program-take").value}}`), text));
