@@ -39,7 +39,7 @@ from armctl.web.tokens import Tokens
 
 TOKEN_WAIT_S = 5.0
 # The heartbeats of a page that leads the arm come at this part of a tick, of 0.1 s at most.
-BEAT_AT = 0.7
+BEAT_AT = 0.8
 # What is remembered of the longest way from an answer to the next heartbeat, each time.
 REMEMBERED = 0.9
 ErrorBody = {"description": "Refused: `error` holds `code`, `message` and `reasons`."}
