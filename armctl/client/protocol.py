@@ -19,6 +19,8 @@ from armctl.errors import ArmctlError, NoDaemon, RequestRefused, rebuilt
 from armctl.files import socket_path
 
 MAX_WAITING_NOTIFICATIONS = 64
+# The daemon closes a connection that asks for more in a line, and stops what moves by it.
+MOST_BYTES = 65536
 # Every connection of this process. A child that was forked gives up its copies: they would keep what its parent began
 # going after the parent's end.
 CONNECTIONS = WeakSet[sockets.socket]()
@@ -46,7 +48,7 @@ class Protocol:
         """The line of a new request, whose id is `_last_id` from then on; numbers may stand in arrays of numpy.
 
         Raises:
-            RequestRefused: code LIMIT, a parameter is not a finite number.
+            RequestRefused: code LIMIT, a parameter is not a finite number; code TOO_LARGE, the line is too long.
         """
         self._last_id += 1
         request = {"jsonrpc": "2.0", "id": self._last_id, "method": method, "params": params}
@@ -55,7 +57,9 @@ class Protocol:
             line = json.dumps(request, separators=(",", ":"), allow_nan=False, default=methodcaller("tolist"))
         except ValueError as error:
             raise RequestRefused("LIMIT", f"{method}: a parameter is not a finite number ({error})") from None
-        return line.encode() + b"\n"
+        if len(data := line.encode()) > MOST_BYTES:
+            raise RequestRefused("TOO_LARGE", f"{method}: {len(data)} bytes, at most {MOST_BYTES}; make two of it")
+        return data + b"\n"
 
     def no_daemon(self, why: str | OSError) -> NoDaemon:
         """The error for a daemon that is not there, or no longer."""

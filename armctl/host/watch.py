@@ -97,9 +97,9 @@ def refuse_to_begin(q_now: Sequence[float], joints_rad_s: Sequence[float], arm: 
         RequestRefused: code LIMIT, naming the joint that stands at its limit.
     """
     ways = zip(arm.joints, q_now, joints_rad_s, strict=True)
-    to = [(joint.name, joint.limits_rad[v > 0.0], q, abs(v)) for joint, q, v in ways]
-    stands = [(name, limit) for name, limit, q, v in to if abs(limit - q) < min(AT_LIMIT_RAD, AT_LIMIT_S * v)]
-    if stands and (led or len(stands) == sum(map(bool, joints_rad_s))):
+    turning = [(joint.name, joint.limits_rad[v > 0.0], q, v) for joint, q, v in ways if v]
+    stands = [(name, to) for name, to, q, v in turning if (to - q) / v < min(AT_LIMIT_S, AT_LIMIT_RAD / abs(v))]
+    if stands and (led or len(stands) == len(turning)):
         at = f"{stands[0][0]} stands at its limit, {math.degrees(stands[0][1]):.1f} deg"
         raise RequestRefused("LIMIT", f"{at}, and would have to turn past it; jog another way")
 

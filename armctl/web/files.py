@@ -32,8 +32,8 @@ from armctl.trajectory.plan import Plan, Point
 from armctl.trajectory.program import program_from_text
 from armctl.web.connections import Connections
 
-# Of what is found in the logs, so many are shown, the newest; and what a request to the daemon may hold [bytes].
-MOST_FOUND, MOST_TOLD = 200, MAX_LINE_BYTES - 512
+# Of what is found in the logs, so many are shown, the newest.
+MOST_FOUND = 200
 NamePath = Annotated[str, Path(pattern=NAME_PATTERN)]
 Seconds = Annotated[float, Query(ge=0.0, allow_inf_nan=False)]
 
@@ -169,8 +169,6 @@ class Files:
     async def program(self, what: Literal["check", "run"], body: ProgramBody) -> dict[str, Any]:
         """Check a program from where the arm is, or run it to its end; each step that is done comes over the stream."""
         program = program_from_text(body.text, "the program", body.name).model_dump(exclude_none=True)
-        if len(json.dumps(program)) > MOST_TOLD:  # the daemon would close the connection, and stop what moves by it
-            raise RequestRefused("TOO_LARGE", f"more than {MOST_TOLD} bytes when written out; make two of it")
         program |= {"from_step": body.from_step} if what == "run" else {}
         return await self._daemon.call(f"program_{what}", **program)
 

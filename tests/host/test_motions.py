@@ -1,6 +1,7 @@
 """Runs, moves and jogs: checked before they begin, recorded, measured, stopped, paused."""
 
 import asyncio
+import contextlib
 import math
 from collections.abc import Callable, Coroutine
 from dataclasses import replace
@@ -15,6 +16,7 @@ from armctl.errors import ConfigError, IllegalTransition, LogError
 from armctl.files import load_arm
 from armctl.host import host as host_module
 from armctl.host.motions import move, move_trajectory, run
+from armctl.host.watch import refuse_to_begin
 from armctl.kinematics import robots
 from armctl.kinematics.chain import forward_kinematics, tool_position
 from armctl.kinematics.transform import pose_from_xyz_rpy
@@ -330,6 +332,21 @@ async def test_a_jog_that_cannot_begin_names_the_joint_and_its_limit(bench: Benc
     for turn in ((0.2, 0.0, 0.0, 0.0, 0.0, 0.2), (-0.2, 0.0, 0.0, 0.0, 0.0, 0.0)):
         assert await bench.beat(bench.anna, turn=turn, begin=True) == {"state": "jogging"}
         await bench.until(lambda: bench.arm.mode() is Mode.HOLDING)
+
+
+@pytest.mark.parametrize(("q_deg", "v_rad_s", "stands"), [
+    (144.9, 0.2, True), (144.9, -0.2, False), (143.0, 0.2, False), (-147.0, -0.2, True),
+    (147.0, 0.2, True),  # limp, it was led beyond
+    (147.0, 0.0, False), (144.9, 0.01, True), (144.4, 0.01, False),
+])  # fmt: skip
+def test_a_joint_stands_at_its_limit_also_beyond_it(q_deg: float, v_rad_s: float, stands: bool) -> None:
+    arm = load_arm("ax12-line")
+    q, v = [math.radians(q_deg), *REST_RAD[1:]], [v_rad_s, *[0.0] * (len(REST_RAD) - 1)]
+    with refused("LIMIT", "base stands at its limit") if stands else contextlib.nullcontext():
+        refuse_to_begin(q, v, arm, led=False)
+    with refused("LIMIT", "base stands at its limit") if stands else contextlib.nullcontext():
+        refuse_to_begin(q, [v_rad_s, *[0.0] * (len(v) - 2), 0.2], arm, led=True)
+    refuse_to_begin(q, [v_rad_s, *[0.0] * (len(v) - 2), 0.2], arm, led=False)  # the other joint goes on
 
 
 async def test_a_tool_is_led_nowhere_by_a_joint_at_its_limit(bench: Bench) -> None:

@@ -12,13 +12,17 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import httpx
+import numpy as np
 import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from armctl.client import Client
 from armctl.errors import RequestRefused
+from armctl.files import load_arm
+from armctl.kinematics import robots
 from armctl.lab.table_ii import FROM_M, TO_M
 from armctl.sim.control import SimulatorClient, control_path
+from armctl.trajectory.collision import link_points
 from proving.dashboard import Dashboard, dashboard
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -296,33 +300,46 @@ def test_why_the_tool_is_not_led_stands_beside_the_button(page: Page, stand: Sta
         client.call("move", joints_rad=before, duration_s=6.0)
 
 
-SEEN = """async () => {
-  const { page: { view } } = await import("/page.js");
-  const places = view.bodies.places().map((place) => place.project(view.camera));
-  const farthest = Math.max(...places.flatMap(({ x, y }) => [Math.abs(x), Math.abs(y)]));
-  return [farthest, view.camera.position.toArray()];
+CAMERA = """async () => {
+  const { page: { view: { camera } } } = await import("/page.js");
+  camera.updateMatrixWorld();
+  return [camera.projectionMatrix.elements, camera.matrixWorldInverse.elements, camera.position.toArray()];
 }"""
+
+
+def seen(page: Page, stand: Stand) -> tuple[float, list[float]]:
+    """How far from the middle of the picture the true arm comes, its edge being 1, and where the page looks from."""
+    projection, to_eye, eye = page.evaluate(CAMERA)
+    chain = robots.of(load_arm("ax12-line")).chain
+    points = link_points(chain, np.array(stand.simulator.state()["joints_rad"][: chain.n]))
+    # Matrices stand column by column.
+    clip = (
+        np.column_stack([points, np.ones(len(points))])
+        @ np.array(to_eye).reshape(4, 4)
+        @ np.array(projection).reshape(4, 4)
+    )
+    return float(np.abs(clip[:, :2] / clip[:, 3:]).max()), eye
 
 
 def test_the_whole_arm_is_in_the_picture_until_somebody_turns_it(page: Page, stand: Stand) -> None:
     energised(page)
     with Client(stand.socket) as client:
 
-        def stretch(base_deg: float) -> Any:
+        def stretch(base_deg: float) -> tuple[float, list[float]]:
             q = map(math.radians, (base_deg, 60.0, -20.0, 0.0, 0.0, 0.0))
             client.call("move", joints_rad=list(q), duration_s=5.0)
             stand.ticks(0.3)
-            return page.evaluate(SEEN)
+            return seen(page, stand)
 
         assert stretch(50.0)[0] < 1.0
         page.locator("#scene").hover()
         page.mouse.wheel(0.0, -1000.0)
         page.wait_for_function("async () => (await import('/page.js')).page.view.turned")
-        near = page.evaluate(SEEN)[1]
+        near = seen(page, stand)[1]
         assert stretch(-40.0)[1] == near
     page.set_viewport_size({"width": 390, "height": 844})
     page.click("#look")
-    farthest, eye = page.evaluate(SEEN)
+    farthest, eye = seen(page, stand)
     assert farthest < 1.0
     assert eye != near
 

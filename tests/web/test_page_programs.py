@@ -64,7 +64,7 @@ def test_a_program_is_made_checked_run_stopped_and_goes_on(page: Page, stand: St
 WRONG = (
     ("", "steps: Field required"), ("steps: [7]", "step 1"), ("steps: [", "the program"),
     ("steps: [{dance: 1}]", "dance"), ("# " + "x" * 70_000, "a body is at most"),
-    ("steps:" + f"\n- path: {{points_m: [{','.join(['[0,0,1],[0,1,1]'] * 250)}]}}" * 8, "make two of it"),
+    ("steps:" + f"\n- path: {{points_m: [{','.join(['[0,0,1],[0,1,1]'] * 250)}]}}" * 10, "make two of it"),
 )  # fmt: skip
 
 

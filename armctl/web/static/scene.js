@@ -163,8 +163,10 @@ export class ArmView {
     else {
       const first = !this.shown;
       [this.from, this.shown, this.wanted, this.begun] = [q, q, q, now - GLIDE_MS];
-      this.bodies.pose(q);
-      if (first) this.look();
+      if (first) {
+        this.bodies.pose(q);
+        this.look();
+      }
     }
     this.redraw();
   }
