@@ -139,19 +139,8 @@ def _column_of_the_jacobian() -> tuple[float, float]:
 PROOFS: dict[str, Residuals] = {
     proof.__name__.removeprefix("_"): proof
     for proof in (
-        _without_d1,
-        _reach_of_fig_9,
-        _radius_alone,
-        _grid_reach,
-        _ordered_population,
-        _standing_still,
-        _subscripts,
-        _solutions,
-        _standard_link,
-        _fig_5_range,
-        _qz_range,
-        _beyond_reach,
-        _branches_of_theta2,
+        _without_d1, _reach_of_fig_9, _radius_alone, _grid_reach, _ordered_population, _standing_still, _subscripts,
+        _solutions, _standard_link, _fig_5_range, _qz_range, _beyond_reach, _branches_of_theta2,
         _column_of_the_jacobian,
     )
-}
+}  # fmt: skip

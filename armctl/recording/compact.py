@@ -22,7 +22,7 @@ from armctl.recording.chunks import ChunkWriter
 from armctl.recording.disk import DISK, Disk, new_file, owned
 from armctl.recording.index import bring_up_to_date
 from armctl.recording.log_file import LogFile
-from armctl.recording.quota import stored_logs
+from armctl.recording.quota import stock
 from armctl.recording.recover import recover_folder
 from armctl.recording.rewrite import Rewrite
 
@@ -62,7 +62,7 @@ def compact(path: Path, *, disk: Disk = DISK) -> bool:
 def compact_folder(folder: Path, *, disk: Disk = DISK) -> int:
     """Compact every log in a folder that is not yet; how many were."""
     count = 0
-    for stored in stored_logs(folder):
+    for stored in stock(folder).logs:
         try:
             count += compact(stored.path, disk=disk)
         except LogError as error:
@@ -106,7 +106,7 @@ def main(folders: Sequence[str]) -> None:
     for folder in map(Path, folders):
         with contextlib.suppress(OSError, LogError):
             compact_folder(folder)
-            if stored_logs(folder):  # a folder of takes needs no index
+            if stock(folder).logs:  # a folder of takes needs no index
                 bring_up_to_date(folder)
 
 

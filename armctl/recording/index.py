@@ -67,10 +67,6 @@ class Index:
             self.path.unlink(missing_ok=True)
             raise LogError(f"{self.path}: was damaged ({error}) and is gone; the same command makes it anew") from None
 
-    def rows(self, query: str) -> Iterator[tuple[Any, ...]]:
-        """Rows of its tables, as they are."""
-        return self._db.execute(query)
-
     def ask(self, query: str, arguments: Sequence[Any] = ()) -> list[dict[str, Any]]:
         """Rows of its tables."""
         cursor = self._db.execute(query, arguments)
@@ -80,7 +76,7 @@ class Index:
     def new(self) -> list[str]:
         """Forget what is gone or has changed; names of the logs that have to be read, the newest first."""
         there = dict(_files(self.folder))
-        known = {name: status for name, *status in self.rows("SELECT name, size, mtime_ns FROM logs")}
+        known = {name: status for name, *status in self._db.execute("SELECT name, size, mtime_ns FROM logs")}
         if there == known:
             return []
         with self._db:
@@ -143,11 +139,9 @@ def _files(folder: Path) -> Iterator[tuple[str, list[int]]]:
     with os.scandir(folder) as found:
         for file in found:
             if file.name.endswith((".mcap", ".mcap.part")):
-                try:
+                with suppress(OSError):  # gone since
                     status = file.stat()
-                except OSError:
-                    continue  # gone since
-                yield file.name, [status.st_size, status.st_mtime_ns]
+                    yield file.name, [status.st_size, status.st_mtime_ns]
 
 
 def _opened(path: Path) -> sqlite3.Connection:

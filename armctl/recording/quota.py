@@ -8,7 +8,9 @@ Rules.
 3. The two newest of each kind stay whatever the bounds say: if they are too much, logging stops instead.
 4. A log's age is counted along the numbers up to the newest one, and not from the clock. Where a stamp lies before the
    one before it, or further behind it than the bound on age, the clock may have been set: that time is no age.
-5. The folder is read once, and again when it has changed, but at most once in `SCAN_NS` unless something is to go.
+5. The folder is read once, and again when it has changed, but at most once in `SCAN_NS` unless something is to go. The
+   size of a finished log is asked once, since such files are replaced and never written again; and again before any
+   of them goes.
 """
 
 import calendar
@@ -47,6 +49,7 @@ class StoredLog(NamedTuple):
     begin_s: int
     # 0: it has none.
     number: int = 0
+    inode: int = 0
 
     @property
     def path(self) -> Path:
@@ -65,16 +68,23 @@ class Stock:
     number: int = 0
 
 
-def stock(folder: Path) -> Stock:
+def stock(folder: Path, before: Stock = Stock()) -> Stock:
     """What is in a folder.
 
+    Args:
+        before: What was: a file of it that is still the same has the same size.
     Raises:
         OSError: it cannot be read.
     """
     found: dict[str, list[StoredLog]] = {LOG: [], FAULT: []}
+    known = {log.name: log for log in before.logs + before.snapshots}
     part_bytes = highest = 0
     with os.scandir(folder) as entries:
         for entry in entries:
+            if (log := known.get(entry.name)) and log.inode == entry.inode():
+                found[log.name.partition("-")[0]].append(log)
+                highest = max(highest, log.number)
+                continue
             part = f".mcap{PART}" in entry.name
             match = _NAME.fullmatch(entry.name.partition(PART)[0])
             if not (match or part) or not entry.is_file(follow_symlinks=False):
@@ -88,14 +98,11 @@ def stock(folder: Path) -> Stock:
                 number = int(match[3]) if len(match[3] or "") >= DIGITS else 0
                 highest = max(highest, number)
                 if not part:
-                    found[match[1]].append(StoredLog(folder, entry.name, size, _epoch_s(match[2]), number))
-    logs, snapshots = (tuple(sorted(found[kind], key=_order)) for kind in (LOG, FAULT))
-    return Stock(logs, snapshots, part_bytes, highest)
-
-
-def stored_logs(folder: Path) -> tuple[StoredLog, ...]:
-    """The finished logs of a folder, oldest first."""
-    return stock(folder).logs
+                    log = StoredLog(folder, entry.name, size, _epoch_s(match[2]), number, entry.inode())
+                    found[match[1]].append(log)
+    for logs in found.values():
+        logs.sort(key=lambda log: (log.number, log.begin_s, len(log.name), log.name))
+    return Stock(tuple(found[LOG]), tuple(found[FAULT]), part_bytes, highest)
 
 
 @lru_cache(2**14)
@@ -105,10 +112,6 @@ def _epoch_s(stamp: str) -> int:
         return calendar.timegm(tuple(map(int, parts)))  # a tenth of what strptime takes
     except ValueError:  # digits that are no time
         return 0
-
-
-def _order(log: StoredLog) -> tuple[int, int, int, str]:
-    return log.number, log.begin_s, len(log.name), log.name
 
 
 def ages_s(logs: Sequence[StoredLog], max_age_s: float) -> list[float]:
@@ -198,7 +201,8 @@ class Retention:
         seen = status.st_dev, status.st_ino, status.st_mtime_ns
         moved = self._seen is None or seen[:2] != self._seen[:2]
         if at_once or moved or (seen != self._seen and self._now_ns() >= self._until_ns):
-            self._stock, self._seen, self._until_ns = stock(self._folder), seen, self._now_ns() + SCAN_NS
+            self._stock = stock(self._folder, Stock() if at_once or moved else self._stock)
+            self._seen, self._until_ns = seen, self._now_ns() + SCAN_NS
             logs, more = self._stock.logs, self._stock.part_bytes
             self._spare_bytes = self._limits.quota_bytes - sum(log.size_bytes for log in logs) - more
             if self._surplus(self._stock, 0):

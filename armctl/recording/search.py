@@ -31,14 +31,17 @@ PERIODS_S = {"day": 86_400, "week": 604_800, "month": 2_629_746}
 
 def listing(index: Index) -> list[Row]:
     """Every log, the oldest first; `faults`: codes of those that came up in it."""
-    columns = "name, size, start_s, simulated, complete, faults, notes, duration_s, arm_id, version, problem"
-    return [
-        {"path": os.path.join(index.folder, name), "start": None if start_s is None else iso(start_s)}
-        | {"duration_s": told[0], "arm_id": told[1], "version": told[2], "problem": told[3], "size_bytes": size}
-        | {"simulated": None if virtual is None else bool(virtual), "complete": bool(complete)}
-        | {"faults": json.loads(faults) if faults else [], "notes": json.loads(notes) if notes else []}
-        for name, size, start_s, virtual, complete, faults, notes, *told in index.rows(f"SELECT {columns} FROM listed")
-    ]
+    kept = "duration_s, arm_id, version, problem, simulated, complete, faults, notes"
+    logs = index.ask(f"SELECT name AS path, start_s AS start, size AS size_bytes, {kept} FROM listed")
+    folder = os.path.join(index.folder, "")
+    for log in logs:
+        log["path"] = folder + log["path"]
+        log["start"] = None if log["start"] is None else iso(log["start"])
+        log["simulated"] = None if log["simulated"] is None else bool(log["simulated"])
+        log["complete"] = bool(log["complete"])
+        for key in ("faults", "notes"):
+            log[key] = json.loads(log[key]) if log[key] else []
+    return logs
 
 
 def find(index: Index, expression: str) -> list[Row]:

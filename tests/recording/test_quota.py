@@ -1,6 +1,7 @@
 """What may be deleted, and what never is."""
 
 import os
+import random
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from hypothesis import strategies as st
 from armctl.clock import NS_PER_S
 from armctl.config import LogConfig
 from armctl.recording import quota
-from armctl.recording.quota import KEPT, Retention, Stock, StoredLog, ages_s, stock, stored_logs, surplus
+from armctl.recording.quota import KEPT, Retention, Stock, StoredLog, ages_s, stock, surplus
 
 LOGS = st.lists(st.tuples(st.integers(0, 2**22), st.integers(0, 10**6)), max_size=12).map(
     lambda given: tuple(
@@ -78,7 +79,7 @@ def test_logs_are_found_by_name_in_the_order_of_their_numbers(tmp_path: Path) ->
     assert [log.path.name for log in found.logs] == [*old, *new]
     assert [log.path.name for log in found.snapshots] == snapshots
     assert (found.part_bytes, found.number) == (10 + 100 + 1000, 31)
-    assert stored_logs(tmp_path)[0].begin_s == 1_750_000_005
+    assert found.logs[0].begin_s == 1_750_000_005
 
 
 def test_the_oldest_logs_go_and_the_newest_stay(tmp_path: Path) -> None:
@@ -116,9 +117,9 @@ def test_the_folder_is_read_when_it_has_changed_and_once_a_minute_at_most(
 ) -> None:
     now_ns, read = [0], list[Path]()
 
-    def noted(folder: Path) -> Stock:
+    def noted(folder: Path, before: Stock) -> Stock:
         read.append(folder)
-        return stock(folder)
+        return stock(folder, before)
 
     monkeypatch.setattr(quota, "stock", noted)
     retention = Retention(tmp_path, LogConfig(free_bytes=0), lambda: now_ns[0])
@@ -139,3 +140,30 @@ def test_the_folder_is_read_when_it_has_changed_and_once_a_minute_at_most(
     tmp_path.mkdir()
     (tmp_path / named(700)).touch()
     assert retention.next_number() == 701, "another folder of that name is read at once"
+
+
+def test_of_a_folder_that_was_read_before_the_same_is_found_and_sizes_are_asked_anew_before_anything_goes(
+    tmp_path: Path,
+) -> None:
+    rng, before = random.Random(1), Stock()
+    for number in range(200):
+        for chosen in rng.sample(sorted(tmp_path.iterdir()), min(3, number)):
+            if rng.random() < 0.5:
+                chosen.unlink()
+            else:  # as one that is compacted
+                (tmp_path / "new").write_bytes(bytes(rng.randrange(1000)))
+                (tmp_path / "new").replace(chosen)
+        for name in (named(number), named(number, kind="fault"), f"{named(number)}.part"):
+            (tmp_path / name).write_bytes(bytes(rng.randrange(1000)))
+        after = stock(tmp_path, before)
+        assert after == stock(tmp_path)
+        before = after
+    assert min(len(before.logs), len(before.snapshots)) > 20
+    oldest, newest = before.logs[0].path, before.logs[-1].path
+    oldest.write_bytes(b"x" * 5000)
+    assert stock(tmp_path, before) == before, "the sizes of finished logs are not asked again"
+    now_ns = 0
+    retention = Retention(tmp_path, LogConfig(free_bytes=0, quota_bytes=2**20), lambda: now_ns)
+    assert retention.enforce() == ()
+    newest.write_bytes(bytes(2**20))
+    assert retention.enforce(2**20)[0] == oldest

@@ -1,7 +1,8 @@
 """What a folder of ten thousand logs costs, and what a daemon waits for that finds the hour a crash has left in it.
 
 1. Retention, a look a second, while something in the folder changes every ten seconds; processor time of this process.
-2. `armctl log list`, the index being there: processor time of the whole program, as a table and as JSON.
+2. `armctl log list`, the index being there: processor time of the whole program as installed, as a table and as JSON;
+   the best of some, since the first finds no bytecode.
 3. `ready` of a daemon: real time from its start until it serves clients, the part of an hour being in its folder; best
    of some. The part has to become a log afterwards.
 
@@ -15,6 +16,7 @@ import sys
 import tempfile
 import time
 from datetime import UTC, datetime
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -32,7 +34,7 @@ from proving.rig import installed
 
 FILES, TICKS, BEGUN_S = 10_000, 30, 1_700_000_000
 SECONDS, CHANGE_S = 600, 10
-STARTS, RECOVERED_S = 3, 60.0
+STARTS, RECOVERED_S, LISTINGS = 3, 60.0, 3
 RETENTION_BOUND_MS, LIST_BOUND_S, READY_BOUND_S = 1.0, 0.5, 2.0
 
 
@@ -49,7 +51,8 @@ def bench(seed: int, *, files: int = FILES, ticks: int = HOUR_TICKS) -> dict[str
         checks.append(check("retention [ms a second]", kept_ms, RETENTION_BOUND_MS))
         subprocess.run([sys.executable, "-m", "armctl.recording.index", logs], check=True)
         for words, text in ((["--json"], "JSON"), ([], "a table")):
-            listed, took_s = asked(str(logs), "list", *words)
+            with installed(Path(name) / "bytecode"):
+                listed, took_s = min((asked(str(logs), "list", *words) for _ in range(LISTINGS)), key=itemgetter(1))
             rows.append(row(f"log list of {files}, {text}", "armctl", took_s, "s", 1.0))
             checks.append(check(f"log list, {text} [s of processor]", took_s, LIST_BOUND_S))
             if listed.count("armctl-") < files:
