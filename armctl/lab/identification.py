@@ -114,7 +114,8 @@ def lean(by: int, about_rad: float, lean_rad: float, sweeping: int | None, *_: f
 
 def gravity_Nm(arm: ArmConfig, robot: Robot, q: FloatArray) -> FloatArray:
     """About each joint of an arm nobody has weighed, at positions q [rad]: both of shape (m, joints)."""
-    return (identification.gravity(arm, robot.chain, q) @ identification.usual_kg(arm, robot.chain.n)).T
+    gravity, _ = identification.burdens(arm, robot.chain, q)
+    return np.asarray((gravity @ identification.usual_kg(arm, robot.chain.n)).T)
 
 
 def balanced(arm: ArmConfig, robot: Robot) -> list[FloatArray]:

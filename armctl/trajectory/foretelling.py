@@ -2,9 +2,9 @@
 
 The position controller (`docs/simulator.md`) sees whole ticks; where in a tick shaft and ramp are is not known, and so
 its output is the mean over all places. With each goal, a delay after it was sent, the ramp goes on, or begins at the
-shaft. v: velocity, G: gravity, s: the side of v:
+shaft. v: velocity, G: gravity, s: the side of v, inertia: that of motor and gears, and of the masses about the axis:
 
-    stall (output * voltage / 12 V - bias - v / no_load - inertia * dv/dt) + G = s (coulomb + load_friction |G|)
+    stall (output * voltage / 12 V - bias - v / no_load) - inertia * dv/dt + G = s (coulomb + load_friction |G|)
 
 A shaft that stands does so up to `ratio` times this friction. A heavy joint is not yet steady when it is read again:
 so all of what lies between two readings is integrated, many stretches at once.
@@ -29,7 +29,7 @@ FRICTION_SHARE = 0.08
 # by which a derivative is taken.
 LIKELY = (
     (0.0, 0.12, 0.02), (0.0, 0.06, 0.02), (0.0, 1.5, 0.04), (0.075, 0.045, 0.01), (1.25, 0.15, 0.03),
-    (0.034, 0.012, 0.002), (0.006, 0.006, 0.0006), (0.0, 0.02, 0.003),
+    (0.034, 0.012, 0.002), (0.0015, 0.0015, 0.0003), (0.0, 0.02, 0.003),
 )  # fmt: skip
 # Shares of a servo's mass and the tool's.
 SERVO_SHARE, TOOL_SHARE, SHARE_STEP = 0.09, 0.15, 0.02
@@ -49,7 +49,7 @@ class Motor(NamedTuple):
     load_friction: float
     stiction_ratio: float
     delay_s: float
-    # Over `stall_Nm`.
+    # Of motor and gears, over `stall_Nm`.
     inertia_s2: float
     # Of the output.
     bias: float
@@ -77,6 +77,8 @@ class Stretches:
     volts: FloatArray
     # Of each mass, at begin and end [N m/kg], shape (2, m, masses).
     gravity: FloatArray
+    # Of each mass, at the begin, shape (m, masses).
+    inertia_m2: FloatArray
     # How far the shaft went [tick], and at the end velocity and output: shape (3, m).
     seen: FloatArray
 
@@ -96,7 +98,7 @@ def foretold(stretches: Stretches, kg: FloatArray, motor: Motor) -> FloatArray:
     one, dt = stretches, stretches.length_s / STEPS
     x, ramp, v = one.shaft_tick, one.ramp_tick, one.velocity_rad_s
     gravity, waits = one.gravity @ kg, np.isfinite(one.sent_s)
-    inertia = max(motor.inertia_s2, LEAST_INERTIA_S2) * motor.stall_Nm
+    inertia = max(motor.inertia_s2, LEAST_INERTIA_S2) * motor.stall_Nm + one.inertia_m2 @ kg
     for i in range(STEPS):
         later = np.clip(i + 1.0 - (one.sent_s + motor.delay_s) / dt, 0.0, 1.0)  # share of the step after the new goal
         if not one.from_reference:

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from armctl.config import ArmConfig
 from armctl.dynamixel.ax12a import LOAD_MAX, TICK_RAD
 from armctl.dynamixel.servos import MODELS
-from armctl.kinematics.chain import SerialChain
+from armctl.kinematics.chain import SerialChain, cross, joint_axes
 from armctl.kinematics.transform import FloatArray
 from armctl.trajectory import foretelling, lag
 
@@ -43,7 +43,7 @@ FEWEST, MOST, STAND, SETTLES = 40, 20_000, 15, 8
 # Gravity that pushes a shaft to an end of its play [N m], and what of its friction may turn its motor.
 PUSHES_NM, TURNS = 0.02, 0.75
 # The least standard deviations: friction, speed, slope (shares), play [deg], delay [s].
-FLOOR = {"friction": 0.08, "speed": 0.06, "play": 0.02, "delay": 0.0015, "jump": 0.003, "slope": 0.02}
+FLOOR = {"friction": 0.06, "speed": 0.06, "play": 0.02, "delay": 0.0015, "jump": 0.003, "slope": 0.02}
 QUANTITIES = ("coulomb_Nm", "stiction_ratio", "slope_tick", "punch", "play_deg", "delay_ms")
 
 
@@ -122,11 +122,12 @@ def identify(arm: ArmConfig, chain: SerialChain, trace: Trace) -> Found:
         _fit_controller(trace, h, found)
     q = np.array([joint.direction for joint in arm.joints]) * TICK_RAD
     q = q * (trace.position_tick - [joint.zero_tick for joint in arm.joints])
-    basis = gravity(arm, chain, q) * np.array([joint.direction for joint in arm.joints])[:, None, None]
-    kg, bias = _balance(arm, trace, basis, joints)
+    loads = burdens(arm, chain, q)
+    loads[0] *= np.array([joint.direction for joint in arm.joints])[:, None, None]
+    kg, bias = _balance(arm, trace, loads, joints)
     for h, found in enumerate(joints):
-        _fit_stiction(trace, h, basis[h] @ kg, float(bias[h]), found)
-        _fit_play(trace, h, basis[h] @ kg, found)
+        _fit_stiction(trace, h, loads[0, h] @ kg, float(bias[h]), found)
+        _fit_play(trace, h, loads[0, h] @ kg, found)
     return Found(joints, [SERVO_KG, *kg.tolist()])
 
 
@@ -226,28 +227,32 @@ def usual_kg(arm: ArmConfig, n: int) -> FloatArray:
     return np.array([*(SERVO_KG * k for k in servos[1:n]), SERVO_KG * sum(servos[n:]), TOOL_KG])
 
 
-def gravity(arm: ArmConfig, chain: SerialChain, q: FloatArray) -> FloatArray:
-    """Of each mass about each joint [N m/kg], shape (joints, m, n + 1), at positions q [rad], shape (m, joints)."""
-    n = chain.n
-    reach = lag.regressors(chain, np.vstack([q, q[-1:]])[:, :n], np.zeros(n), 0.1)[:, :-1, :n]
-    # A link carries what is beyond it; the mass midway along the last one counts half there.
-    carries = np.triu(np.ones((n, n + 1)))
-    carries[n - 1, n - 1] = 0.5
-    found = np.zeros((len(arm.joints), len(q), n + 1))
-    found[:n] = -lag.GRAVITY_M_S2 * reach @ carries
+def burdens(arm: ArmConfig, chain: SerialChain, q: FloatArray) -> FloatArray:
+    """Gravity [N m/kg] and inertia [m^2] of each mass about each joint, at positions q [rad], shape (m, joints).
+
+    Returns:
+        Both, shape (2, joints, m, n + 1).
+    """
+    axes, tool_m = joint_axes(chain, q[:, : chain.n])
+    points = [*(origin for _, origin in axes[1:]), (axes[-1][1] + tool_m) / 2.0, tool_m]
+    found = np.zeros((2, len(arm.joints), len(q), len(points)))
+    for h, (axis, origin) in enumerate(axes):
+        for k in range(h, len(points)):
+            arm_m = cross(axis, points[k] - origin)
+            found[:, h, :, k] = -lag.GRAVITY_M_S2 * arm_m[2], np.square(arm_m).sum(axis=0)
     return found
 
 
 def _balance(
-    arm: ArmConfig, trace: Trace, basis: FloatArray, joints: Sequence[JointFound]
+    arm: ArmConfig, trace: Trace, loads: FloatArray, joints: Sequence[JointFound]
 ) -> tuple[FloatArray, FloatArray]:
     """Masses [kg] and biases of the outputs; what else motions tell goes to the joints (rule 2)."""
     models = [MODELS[joint.model] for joint in arm.joints]
     strong = [model.stall_torque_Nm * (1 if j.pair is None else 2) for model, j in zip(models, arm.joints, strict=True)]
     delays = [joint.values.get("delay_ms", (math.nan, math.nan)) for joint in joints]
     speeds = np.array([model.no_load_speed_rad_s for model in models])
-    guess = foretelling.Guess(usual_kg(arm, basis.shape[2] - 1), np.array(strong), speeds, 1e-3 * np.array(delays).T)
-    seen = {h: _stretches(trace, h, basis[h], found) for h, found in enumerate(joints) if "gain" in found.values}
+    guess = foretelling.Guess(usual_kg(arm, loads.shape[3] - 1), np.array(strong), speeds, 1e-3 * np.array(delays).T)
+    seen = {h: _stretches(trace, h, loads[:, h], found) for h, found in enumerate(joints) if "gain" in found.values}
     theta, cov = foretelling.fit(guess, {h: one for h, one in seen.items() if len(one.length_s)})
     biases, count = np.zeros(len(joints)), len(foretelling.LIKELY)
     for h, joint in enumerate(joints):
@@ -269,7 +274,7 @@ def _balance(
     return guess.means(theta, 0)[0], biases
 
 
-def _stretches(trace: Trace, h: int, basis: FloatArray, found: JointFound) -> foretelling.Stretches:
+def _stretches(trace: Trace, h: int, loads: FloatArray, found: JointFound) -> foretelling.Stretches:
     """Where a joint slides one way or breaks away, so that its motor stays on one side of its play."""
     t, v, output, margin = (one[:, h] for one in (trace.read_s, trace.velocity_rad_s, trace.output, trace.margin_tick))
     gain, punch = found["gain"], found["punch"] / LOAD_MAX
@@ -296,8 +301,8 @@ def _stretches(trace: Trace, h: int, basis: FloatArray, found: JointFound) -> fo
         length_s=t[k + 1] - t[k], shaft_tick=x[k], ramp_tick=ramp[k], velocity_rad_s=v[k], goal_tick=goal_tick,
         sent_s=np.where(np.isfinite(trace.sent_s[k]), trace.sent_s[k] - t[k], math.inf),
         speed_tick_s=trace.speed_tick_s[[k - 1, k], h], from_reference=found.ramp_evidence > 0.0,
-        margin_tick=margin[k], punch=punch, gain=gain, volts=volts, gravity=basis[[k, k + 1]],
-        seen=np.array([x[k + 1] - x[k], v[k + 1], output[k + 1]]),
+        margin_tick=margin[k], punch=punch, gain=gain, volts=volts, gravity=loads[0, [k, k + 1]],
+        inertia_m2=loads[1, k], seen=np.array([x[k + 1] - x[k], v[k + 1], output[k + 1]]),
     )  # fmt: skip
 
 

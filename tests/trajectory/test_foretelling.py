@@ -33,6 +33,7 @@ def stretches(m: int = 1, **changes: object) -> Stretches:
         gain=0.04,
         volts=ones,
         gravity=np.zeros((2, m, 1)),
+        inertia_m2=np.zeros((m, 1)),
         seen=np.zeros((3, m)),
     )
     return replace(still, **changes)  # type: ignore[arg-type]  # by its fields' names
@@ -45,6 +46,14 @@ def test_output_is_odd_and_that_of_whole_ticks_where_the_error_is_whole(error: f
     assert at == -mirrored
     least = math.copysign(min(0.03 + (abs(whole) - 1.0) * 0.04, 1.0), whole) if abs(whole) > 1 else 0.0
     assert foretelling.output(one, np.array([float(whole)]))[0] == pytest.approx(least)
+
+
+@given(kg=st.floats(0.0, 0.3), arm_m=st.floats(0.05, 0.3))
+def test_masses_about_the_axis_are_as_slow_as_the_motors_own(kg: float, arm_m: float) -> None:
+    goal = np.array([[500.0], [540.0]])
+    told = stretches(sent_s=np.array([0.0]), goal_tick=goal, inertia_m2=np.full((1, 1), arm_m**2))
+    own = MOTOR._replace(inertia_s2=MOTOR.inertia_s2 + kg * arm_m**2 / MOTOR.stall_Nm)
+    assert foretold(told, np.array([kg]), MOTOR) == pytest.approx(foretold(told, NO_KG, own))
 
 
 @given(share=st.floats(-0.99, 0.99))
@@ -94,9 +103,9 @@ def test_numbers_are_found_from_what_they_foretold(from_reference: bool) -> None
         m, shaft_tick=500.0 - side * rng.uniform(3.0, 9.0, m), velocity_rad_s=side * rng.uniform(0.1, 0.5, m),
         sent_s=np.full(m, 0.004), goal_tick=np.array([500.0 + 0.0 * way, 500.0 + way]),
         speed_tick_s=np.tile(np.abs(way) / (0.1 if from_reference else 0.01), (2, 1)), from_reference=from_reference,
-        gravity=np.tile(rng.uniform(-1.0, 1.0, m)[None, :, None], (2, 1, 1)),
+        gravity=np.tile(rng.uniform(-1.0, 1.0, m)[None, :, None], (2, 1, 1)), inertia_m2=np.full((m, 1), 0.03),
     )  # fmt: skip
-    true = Motor(1.35, 6.5, 0.15, 0.03, 1.3, 0.041, 0.009, 0.0)
+    true = Motor(1.35, 6.5, 0.15, 0.03, 1.3, 0.041, 0.002, 0.0)
     seen = foretold(made, np.array([0.3]), true) + rng.normal(0.0, 1.0, (3, m)) * [[0.3], [0.01], [0.01]]
     guess = Guess(np.array([0.3]), np.array([1.5]), np.array([6.2]), np.full((2, 1), math.nan))
     theta, cov = fit(guess, {0: replace(made, seen=seen)})

@@ -12,6 +12,7 @@ from armctl.dynamixel.ax12a import LOAD_MAX, TICK_RAD
 from armctl.files import load_arm
 from armctl.kinematics import robots
 from armctl.kinematics.transform import FloatArray
+from armctl.sim.gravity import PointMasses
 from armctl.trajectory import identification
 from armctl.trajectory.identification import JointFound, Trace, identify, lattice, ramp_tick
 
@@ -20,6 +21,10 @@ CHAIN = robots.of(ARM).chain
 N = len(ARM.joints)
 PERIOD_S, SENT_S = 0.1, 0.004
 MARGIN, PUNCH, SLOPE = 1.0, 32.0 / LOAD_MAX, 32.0
+STALL_NM = 1.5
+# About the base's axis, of the masses that are usual, while all other joints stand at 512.
+STILL_RAD = np.array([[joint.position_rad(512.0) for joint in ARM.joints]])
+STILL_KG_M2 = float(identification.burdens(ARM, CHAIN, STILL_RAD)[1, 0, 0] @ identification.usual_kg(ARM, CHAIN.n))
 
 
 def trace(goal: FloatArray, **seen: FloatArray) -> Trace:
@@ -31,14 +36,15 @@ def trace(goal: FloatArray, **seen: FloatArray) -> Trace:
     known[:, 0] = True
     goals = np.tile(goal[:, None], (1, N))
     shown = np.vstack([goals[:1], goals[:-1]])
-    still = np.full((m, N), 512.0)
+    position = np.full((m, N), 512.0)
+    position[:, 0] = seen.get("position_tick", position[:, 0])
     return Trace(
         read_s=np.tile(time_s[:, None], (1, N)),
         sent_s=time_s + SENT_S,
         goal_tick=goals,
         speed_tick_s=wide.get("speed_tick_s", np.full((m, N), 200.0)),
         shown_tick=shown,
-        position_tick=wide.get("position_tick", still),
+        position_tick=position,
         output=wide.get("output", np.zeros((m, N))),
         velocity_rad_s=wide.get("velocity_rad_s", np.zeros((m, N))),
         voltage_V=np.full((m, N), 12.0),
@@ -110,7 +116,7 @@ def turning(
     delay_s: float, friction: float, free_rad_s: float, share: float, *, from_reference: bool, seed: int
 ) -> Trace:
     """A joint about a vertical axis, integrated each millisecond: friction over strength, speed without load."""
-    rng, inertia_s2 = np.random.default_rng(seed), 0.008
+    rng, inertia_s2 = np.random.default_rng(seed), 0.0015 + STILL_KG_M2 / STALL_NM
     goal, most = [512.0], 170.0  # tick/s^2: legs in which no speed lasts, so that no moment of a tick is seen for long
     for far in (58.0, 51.0, 45.0, 38.0, 31.0, 24.0, 17.0) * 3:
         for to in (512.0 + far, 512.0 - far):
@@ -186,6 +192,18 @@ def test_an_arm_that_only_stood_tells_nothing_and_says_so() -> None:
             set(joint.values) & set(identification.QUANTITIES)
         )
         assert not set(identification.QUANTITIES) & set(joint.values)
+
+
+@pytest.mark.parametrize("name", ["ax12-line", "crane-plus-v2", "phantomx-reactor"])
+def test_masses_are_as_heavy_and_as_slow_as_point_masses_on_the_chain(name: str) -> None:
+    arm = load_arm(name)
+    chain, rng = robots.of(arm).chain, np.random.default_rng(1)
+    kg, q = rng.uniform(0.0, 0.5, chain.n + 1), rng.uniform(-2.0, 2.0, (20, len(arm.joints)))
+    loads = identification.burdens(arm, chain, q) @ kg
+    masses = PointMasses(chain, (9.0, *kg.tolist()))  # what sits on the first axis loads none
+    true = np.array([masses.loads(row) for row in q[:, : chain.n].tolist()])
+    np.testing.assert_allclose(loads[:, : chain.n].T, true, atol=1e-12)
+    assert not loads[:, chain.n :].any()
 
 
 def test_what_two_logs_hold_counts_once() -> None:
