@@ -86,6 +86,7 @@ def _become(joint: Joint, twin: TwinJoint, config: JointConfig) -> None:
     )
     joint.half_play_rad, joint.dead_steps = math.radians(now["play_deg"]) / 2.0, round(1e-3 * now["delay_ms"] / STEP_S)
     joint.spec = replace(joint.spec, no_load_speed_rad_s=now["no_load_rad_s"])
+    joint.zero_rad -= joint.direction * math.radians(twin.zero_deg or 0.0)
     servo.slope_share = now["slope_tick"] / slope_tick
 
 

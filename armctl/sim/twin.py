@@ -26,6 +26,8 @@ class TwinJoint(Frozen):
     no_load_rad_s: Figure = None
     load_friction: Share = None
     noise_tick: Share = None
+    # How far its position is beyond what its servo and the arm's file say.
+    zero_deg: Annotated[float | None, Field(ge=-20.0, le=20.0)] = None
 
 
 class Twin(Frozen):

@@ -4,7 +4,7 @@ The position controller (`docs/simulator.md`) sees whole ticks; where in a tick 
 its output is the mean over all places. With each goal, a delay after it was sent, the ramp goes on, or begins at the
 shaft. v: velocity, G: gravity, s: the side of v, inertia: that of motor and gears, and of the masses about the axis:
 
-    stall (output * voltage / 12 V - bias - v / no_load) - inertia * dv/dt + G = s (coulomb + load_friction |G|)
+    stall (output * voltage / 12 V - v / no_load) - inertia * dv/dt + G = s (coulomb + load_friction |G|)
 
 A shaft that stands does so up to `ratio` times this friction. A heavy joint is not yet steady when it is read again:
 so all of what lies between two readings is integrated, many stretches at once.
@@ -29,7 +29,7 @@ FRICTION_SHARE = 0.08
 # by which a derivative is taken.
 LIKELY = (
     (0.0, 0.12, 0.02), (0.0, 0.06, 0.02), (0.0, 1.5, 0.04), (0.075, 0.045, 0.01), (1.25, 0.15, 0.03),
-    (0.034, 0.012, 0.002), (0.0015, 0.0015, 0.0003), (0.0, 0.02, 0.003),
+    (0.034, 0.012, 0.002), (0.0015, 0.0015, 0.0003), (0.0, 0.014, 0.005),
 )  # fmt: skip
 # Shares of a servo's mass and the tool's.
 SERVO_SHARE, TOOL_SHARE, SHARE_STEP = 0.09, 0.15, 0.02
@@ -51,8 +51,8 @@ class Motor(NamedTuple):
     delay_s: float
     # Of motor and gears, over `stall_Nm`.
     inertia_s2: float
-    # Of the output.
-    bias: float
+    # How far its position is beyond what its servo and the arm's file say.
+    zero_rad: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,9 +75,10 @@ class Stretches:
     gain: float
     # Share of the rated voltage.
     volts: FloatArray
-    # Of each mass, at begin and end [N m/kg], shape (2, m, masses).
+    # Of each weight, at begin and end, shape (2, m, weights): of each mass [N m/kg], and for each joint of all masses
+    # again, what they gain as its position grows [N m/(kg rad)].
     gravity: FloatArray
-    # Of each mass, at the begin, shape (m, masses).
+    # Of each weight, at the begin, shape (m, weights); those for the joints have none.
     inertia_m2: FloatArray
     # How far the shaft went [tick], and at the end velocity and output: shape (3, m).
     seen: FloatArray
@@ -93,12 +94,12 @@ def output(stretches: Stretches, error_tick: FloatArray) -> FloatArray:
     return np.asarray(np.sign(error_tick) * (low + (np.abs(error_tick) - whole) * (high - low)))
 
 
-def foretold(stretches: Stretches, kg: FloatArray, motor: Motor) -> FloatArray:
+def foretold(stretches: Stretches, weights: FloatArray, motor: Motor) -> FloatArray:
     """What is to be seen at the ends, as `Stretches.seen`."""
     one, dt = stretches, stretches.length_s / STEPS
     x, ramp, v = one.shaft_tick, one.ramp_tick, one.velocity_rad_s
-    gravity, waits = one.gravity @ kg, np.isfinite(one.sent_s)
-    inertia = max(motor.inertia_s2, LEAST_INERTIA_S2) * motor.stall_Nm + one.inertia_m2 @ kg
+    gravity, waits = one.gravity @ weights, np.isfinite(one.sent_s)
+    inertia = max(motor.inertia_s2, LEAST_INERTIA_S2) * motor.stall_Nm + one.inertia_m2 @ weights
     for i in range(STEPS):
         later = np.clip(i + 1.0 - (one.sent_s + motor.delay_s) / dt, 0.0, 1.0)  # share of the step after the new goal
         if not one.from_reference:
@@ -106,7 +107,7 @@ def foretold(stretches: Stretches, kg: FloatArray, motor: Motor) -> FloatArray:
             ramp, waits = np.where(begins, x, ramp), waits & ~begins
         G = gravity[0] + (gravity[1] - gravity[0]) * ((i + 0.5) / STEPS)
         friction = motor.coulomb_Nm + motor.load_friction * np.abs(G)
-        drive = output(one, ramp - x) * one.volts - motor.bias - v / motor.no_load_rad_s
+        drive = output(one, ramp - x) * one.volts - v / motor.no_load_rad_s
         torque = motor.stall_Nm * drive + G
         side = np.where(v != 0.0, np.sign(v), np.sign(torque))
         after = v + (torque - side * friction) * dt / inertia
@@ -137,12 +138,13 @@ class Guess:
         return np.concatenate([masses, motors.ravel()])
 
     def means(self, theta: FloatArray, h: int) -> tuple[FloatArray, Motor]:
-        """Masses [kg], and the motor of a joint."""
+        """Weights (masses [kg], and those times the zeros of each joint [rad]), and the motor of a joint."""
         n = len(self.kg)
+        zeros_rad = theta[n + len(LIKELY) - 1 :: len(LIKELY)]
         a = theta[n + len(LIKELY) * h :][: len(LIKELY)] + [usual for usual, _, _ in LIKELY]
         stall_Nm, seen_s = float(self.stall_Nm[h] * math.exp(a[0])), self.delay_s[0, h]
         delay_s = float(a[5] if np.isnan(seen_s) else seen_s + theta[n + len(LIKELY) * h + 5])
-        return self.kg * np.exp(theta[:n]), Motor(
+        return np.outer([1.0, *zeros_rad], self.kg * np.exp(theta[:n])).ravel(), Motor(
             stall_Nm, float(self.no_load_rad_s[h] * math.exp(a[1])), stall_Nm * FRICTION_SHARE * math.exp(a[2]),
             max(float(a[3]), 0.0), max(float(a[4]), 1.0), max(delay_s, 0.0), float(a[6]), float(a[7]),
         )  # fmt: skip
@@ -177,7 +179,9 @@ def _slopes(
         def left(theta: FloatArray, h: int = h, one: Stretches = one) -> FloatArray:
             return foretold(one, *guess.means(theta, h)) - one.seen
 
-        own = np.r_[np.flatnonzero(np.abs(one.gravity).max(axis=(0, 1)) > 1e-6), n + len(LIKELY) * h + np.arange(8)]
+        felt = (np.abs(one.gravity).max(axis=(0, 1)) > 1e-6).reshape(-1, n)
+        zeros = n + 7 + len(LIKELY) * np.flatnonzero(felt[1:].any(axis=1))
+        own = np.unique(np.r_[np.flatnonzero(felt[0]), zeros, n + len(LIKELY) * h + np.arange(8)])
         r = left(theta)
         sd = np.maximum(1.48 * np.median(np.abs(r), axis=1, keepdims=True), LEAST)
         weight = 1.0 / np.sqrt(np.maximum(1.0, np.abs(r) / (FAR * sd))) / sd

@@ -4,8 +4,8 @@ Rules.
 1. A servo's output tells where its speed ramp is: |error| = margin + (|output| - punch) / gain, in whole ticks. The
    ramp itself follows from goals and speeds as they were sent. What lies between the two is the delay; and which of two
    ramps fits, one that goes on or one that begins at the shaft, tells `ramp_from_reference`.
-2. One reading foretells the next (`foretelling.py`), for all joints at once: masses, strengths and frictions that do so
-   best, and are likely beforehand. Ramps that begin at the shaft show their delay by this alone.
+2. One reading foretells the next (`foretelling.py`), for all joints at once: the masses, zeros, strengths and frictions
+   that do so best, and are likely beforehand. Ramps that begin at the shaft show their delay by this alone.
 3. A joint that stands bears at most its stiction: what it bore last before it broke away tells the ratio.
 4. A joint that stands while gravity on it turns over crosses its play, and its goal and motor do not.
 5. What the data do not show is left out, and said in words. Standard deviations are those of the fit, and no less than
@@ -120,15 +120,20 @@ def identify(arm: ArmConfig, chain: SerialChain, trace: Trace) -> Found:
     joints = [JointFound(joint.name) for joint in arm.joints]
     for h, found in enumerate(joints):
         _fit_controller(trace, h, found)
-    q = np.array([joint.direction for joint in arm.joints]) * TICK_RAD
-    q = q * (trace.position_tick - [joint.zero_tick for joint in arm.joints])
-    loads = burdens(arm, chain, q)
-    loads[0] *= np.array([joint.direction for joint in arm.joints])[:, None, None]
-    kg, bias = _balance(arm, trace, loads, joints)
+    directions = np.array([joint.direction for joint in arm.joints])
+    q = directions * TICK_RAD * (trace.position_tick - [joint.zero_tick for joint in arm.joints])
+    # The masses, and what they gain as each joint goes on.
+    gains = [
+        (burdens(arm, chain, q + d) - burdens(arm, chain, q - d)) / (2.0 * d.max()) for d in 1e-4 * np.eye(len(joints))
+    ]
+    loads = np.concatenate([burdens(arm, chain, q), *gains], axis=3)
+    loads[0] *= directions[:, None, None]
+    loads[1, :, :, chain.n + 1 :] = 0.0
+    weights = _balance(arm, trace, loads, joints)
     for h, found in enumerate(joints):
-        _fit_stiction(trace, h, loads[0, h] @ kg, float(bias[h]), found)
-        _fit_play(trace, h, loads[0, h] @ kg, found)
-    return Found(joints, [SERVO_KG, *kg.tolist()])
+        _fit_stiction(trace, h, loads[0, h] @ weights, found)
+        _fit_play(trace, h, loads[0, h] @ weights, found)
+    return Found(joints, [SERVO_KG, *weights[: chain.n + 1].tolist()])
 
 
 # ------------------------------------------------------------------------------------------- the controller
@@ -243,23 +248,24 @@ def burdens(arm: ArmConfig, chain: SerialChain, q: FloatArray) -> FloatArray:
     return found
 
 
-def _balance(
-    arm: ArmConfig, trace: Trace, loads: FloatArray, joints: Sequence[JointFound]
-) -> tuple[FloatArray, FloatArray]:
-    """Masses [kg] and biases of the outputs; what else motions tell goes to the joints (rule 2)."""
+def _balance(arm: ArmConfig, trace: Trace, loads: FloatArray, joints: Sequence[JointFound]) -> FloatArray:
+    """The weights of `loads` (see `Stretches.gravity`); what else motions tell goes to the joints (rule 2)."""
     models = [MODELS[joint.model] for joint in arm.joints]
     strong = [model.stall_torque_Nm * (1 if j.pair is None else 2) for model, j in zip(models, arm.joints, strict=True)]
     delays = [joint.values.get("delay_ms", (math.nan, math.nan)) for joint in joints]
     speeds = np.array([model.no_load_speed_rad_s for model in models])
-    guess = foretelling.Guess(usual_kg(arm, loads.shape[3] - 1), np.array(strong), speeds, 1e-3 * np.array(delays).T)
+    guess = foretelling.Guess(
+        usual_kg(arm, loads.shape[3] // (1 + len(joints)) - 1), np.array(strong), speeds, 1e-3 * np.array(delays).T
+    )
     seen = {h: _stretches(trace, h, loads[:, h], found) for h, found in enumerate(joints) if "gain" in found.values}
     theta, cov = foretelling.fit(guess, {h: one for h, one in seen.items() if len(one.length_s)})
-    biases, count = np.zeros(len(joints)), len(foretelling.LIKELY)
+    count = len(foretelling.LIKELY)
     for h, joint in enumerate(joints):
         motor, at = guess.means(theta, h)[1], len(guess.kg) + count * h + np.arange(count)
         sds = foretelling.Motor(*np.sqrt(np.diag(cov)[at]).tolist())
         both = math.sqrt(float(cov[np.ix_(at[[0, 2]], at[[0, 2]])].sum()))
-        biases[h], free = motor.bias, motor.no_load_rad_s
+        free = motor.no_load_rad_s
+        joint.values["zero_deg"] = math.degrees(motor.zero_rad), math.degrees(sds.zero_rad)
         joint.values["stall_Nm"] = motor.stall_Nm, motor.stall_Nm * sds.stall_Nm
         joint.values["no_load_rad_s"] = free, free * math.hypot(sds.no_load_rad_s, FLOOR["speed"])
         joint.values["load_friction"] = motor.load_friction, sds.load_friction
@@ -271,7 +277,7 @@ def _balance(
         if "delay_ms" not in joint.values and sds.delay_s <= SEEN_DELAY_S:
             joint.values["delay_ms"] = 1e3 * motor.delay_s, 1e3 * math.hypot(sds.delay_s, FLOOR["jump"])
             joint.unseen.pop("delay_ms", None)
-    return guess.means(theta, 0)[0], biases
+    return guess.means(theta, 0)[0]
 
 
 def _stretches(trace: Trace, h: int, loads: FloatArray, found: JointFound) -> foretelling.Stretches:
@@ -306,13 +312,13 @@ def _stretches(trace: Trace, h: int, loads: FloatArray, found: JointFound) -> fo
     )  # fmt: skip
 
 
-def _fit_stiction(trace: Trace, h: int, G: FloatArray, bias: float, found: JointFound) -> None:
+def _fit_stiction(trace: Trace, h: int, G: FloatArray, found: JointFound) -> None:
     """What a joint bears before it breaks away (rule 3), over its friction."""
     if "coulomb_Nm" not in found.values:
         found.unseen["stiction_ratio"] = "its friction was not seen"
         return
     output, v = trace.output[:, h], trace.velocity_rad_s[:, h]
-    torque = found["stall_Nm"] * (output * trace.voltage_V[:, h] / RATED_V - bias) + G
+    torque = found["stall_Nm"] * output * trace.voltage_V[:, h] / RATED_V + G
     bears = np.abs(torque) / (found["coulomb_Nm"] + found["load_friction"] * np.abs(G))
     breaks = trace.known[1:-1, h] & (v[1:-1] == 0.0) & (v[2:] * torque[1:-1] > 0.0) & (output[1:-1] != 0.0)
     k = 1 + np.flatnonzero(breaks & (trace.read_s[2:, h] - trace.read_s[:-2, h] < 2.0 * GAP_S))

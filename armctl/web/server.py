@@ -67,22 +67,10 @@ def serve(
         names, (key, certificate) = (name, f"{name}.local"), _tls(keys, name)
     _, guard = create_app(arm, config, socket=socket, token=token, port=port, names=names, config_file=config_file)
     settings = uvicorn.Config(
-        guard,
-        host=host,
-        port=port,
-        ssl_keyfile=key,
-        ssl_certfile=certificate,
-        log_level="warning",
-        access_log=False,
-        server_header=False,
-        proxy_headers=False,
-        ws_max_size=4096,
-        ws_max_queue=4,
-        http=Connection,
-        backlog=128,
-        timeout_keep_alive=30,
-        timeout_graceful_shutdown=2,
-    )
+        guard, host=host, port=port, ssl_keyfile=key, ssl_certfile=certificate, log_level="warning", access_log=False,
+        server_header=False, proxy_headers=False, ws_max_size=4096, ws_max_queue=4, http=Connection, backlog=128,
+        timeout_keep_alive=30, timeout_graceful_shutdown=2,
+    )  # fmt: skip
     server = uvicorn.Server(settings)
     address = f"{scheme}://{name}:{port}/#token={token}"
 

@@ -98,15 +98,20 @@ def test_a_goal_moves_nothing_before_its_delay(delay_s: float, from_reference: b
 def test_numbers_are_found_from_what_they_foretold(from_reference: bool) -> None:
     rng, m = np.random.default_rng(3), 900
     side = rng.choice([-1.0, 1.0], m)
-    way = side * rng.uniform(3.0, 12.0, m)
+    way, at = side * rng.uniform(3.0, 12.0, m), rng.uniform(-math.pi, math.pi, m)
+    pulls, leans = np.cos(at), -np.sin(at)
     made = stretches(
         m, shaft_tick=500.0 - side * rng.uniform(3.0, 9.0, m), velocity_rad_s=side * rng.uniform(0.1, 0.5, m),
         sent_s=np.full(m, 0.004), goal_tick=np.array([500.0 + 0.0 * way, 500.0 + way]),
         speed_tick_s=np.tile(np.abs(way) / (0.1 if from_reference else 0.01), (2, 1)), from_reference=from_reference,
-        gravity=np.tile(rng.uniform(-1.0, 1.0, m)[None, :, None], (2, 1, 1)), inertia_m2=np.full((m, 1), 0.03),
+        gravity=np.stack([pulls, leans], axis=1)[None].repeat(2, axis=0), inertia_m2=np.full((m, 2), [0.03, 0.0]),
     )  # fmt: skip
-    true = Motor(1.35, 6.5, 0.15, 0.03, 1.3, 0.041, 0.002, 0.0)
-    seen = foretold(made, np.array([0.3]), true) + rng.normal(0.0, 1.0, (3, m)) * [[0.3], [0.01], [0.01]]
+    true = Motor(1.35, 6.5, 0.15, 0.03, 1.3, 0.041, 0.002, 0.02)
+    seen = foretold(made, 0.3 * np.array([1.0, true.zero_rad]), true) + rng.normal(0.0, 1.0, (3, m)) * [
+        [0.3],
+        [0.01],
+        [0.01],
+    ]
     guess = Guess(np.array([0.3]), np.array([1.5]), np.array([6.2]), np.full((2, 1), math.nan))
     theta, cov = fit(guess, {0: replace(made, seen=seen)})
     kg, motor = guess.means(theta, 0)
@@ -114,4 +119,5 @@ def test_numbers_are_found_from_what_they_foretold(from_reference: bool) -> None
     assert motor.coulomb_Nm / motor.stall_Nm == pytest.approx(0.15 / 1.35, rel=0.05)
     assert motor.no_load_rad_s == pytest.approx(6.5, rel=0.05)
     assert motor.delay_s == pytest.approx(0.041, abs=0.003)
+    assert motor.zero_rad == pytest.approx(0.02, abs=0.01)
     assert (np.diag(cov) <= guess.prior() ** 2 * (1.0 + 1e-9)).all()
