@@ -180,7 +180,7 @@ def _slopes(
             return foretold(one, *guess.means(theta, h)) - one.seen
 
         felt = (np.abs(one.gravity).max(axis=(0, 1)) > 1e-6).reshape(-1, n)
-        zeros = n + 7 + len(LIKELY) * np.flatnonzero(felt[1:].any(axis=1))
+        zeros = n - 1 + len(LIKELY) * (1 + np.flatnonzero(felt[1:].any(axis=1)))
         own = np.unique(np.r_[np.flatnonzero(felt[0]), zeros, n + len(LIKELY) * h + np.arange(8)])
         r = left(theta)
         sd = np.maximum(1.48 * np.median(np.abs(r), axis=1, keepdims=True), LEAST)

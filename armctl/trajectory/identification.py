@@ -89,7 +89,8 @@ class Trace:
 class JointFound:
     """What was found of one joint: values with their standard deviations, and why of `QUANTITIES` some are missing.
 
-    Beside these it has `stall_Nm`, `no_load_rad_s`, `load_friction`, `noise_tick` and `gain` (output per tick).
+    Beside these it has `zero_deg`, `stall_Nm`, `no_load_rad_s`, `load_friction`, `noise_tick` and `gain` (output
+    per tick).
     """
 
     name: str

@@ -159,11 +159,12 @@ def test_of_a_folder_that_was_read_before_the_same_is_found_and_sizes_are_asked_
         assert after == stock(tmp_path)
         before = after
     assert min(len(before.logs), len(before.snapshots)) > 20
-    oldest, newest = before.logs[0].path, before.logs[-1].path
-    oldest.write_bytes(b"x" * 5000)
+    shrunk = before.logs[5].path
+    shrunk.write_bytes(bytes(2**20))
     assert stock(tmp_path, before) == before, "the sizes of finished logs are not asked again"
     now_ns = 0
-    retention = Retention(tmp_path, LogConfig(free_bytes=0, quota_bytes=2**20), lambda: now_ns)
+    retention = Retention(tmp_path, LogConfig(free_bytes=0, quota_bytes=3 * 2**19), lambda: now_ns)
     assert retention.enforce() == ()
-    newest.write_bytes(bytes(2**20))
-    assert retention.enforce(2**20)[0] == oldest
+    shrunk.write_bytes(b"")
+    assert retention.enforce(2**20) == (), "by the sizes of before the oldest would go"
+    assert retention.enforce(3 * 2**19)[0] == before.logs[0].path

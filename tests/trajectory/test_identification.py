@@ -22,9 +22,9 @@ N = len(ARM.joints)
 PERIOD_S, SENT_S = 0.1, 0.004
 MARGIN, PUNCH, SLOPE = 1.0, 32.0 / LOAD_MAX, 32.0
 STALL_NM = 1.5
-# About the base's axis, of the masses that are usual, while all other joints stand at 512.
-STILL_RAD = np.array([[joint.position_rad(512.0) for joint in ARM.joints]])
-STILL_KG_M2 = float(identification.burdens(ARM, CHAIN, STILL_RAD)[1, 0, 0] @ identification.usual_kg(ARM, CHAIN.n))
+# About the base's axis, of the masses that are usual, while all other joints stand at 512; by the simulator's sums.
+STILL_RAD = [joint.position_rad(512.0) for joint in ARM.joints]
+STILL_KG_M2 = PointMasses(CHAIN, (0.0, *identification.usual_kg(ARM, CHAIN.n).tolist())).loads(STILL_RAD)[0][1]
 
 
 def trace(goal: FloatArray, **seen: FloatArray) -> Trace:
