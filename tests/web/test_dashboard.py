@@ -256,10 +256,14 @@ def _flood(port: int, token: str, begun: Any, ending: Any) -> None:
 
 
 def energised(page: Page) -> None:
+    """Hold the arm as a person would: one that still sinks, or was not heard by a busy machine, says so."""
     state(page, "holding", "off")
-    if page.locator("#state").inner_text() == "off":
+    while page.locator("#state").inner_text() == "off":
         page.click("[data-command=torque-on]")
-        state(page, "holding")
+        expect(page.locator("#state[data-state=holding], #message:not([hidden])").first).to_be_visible()
+        if page.locator("#message").is_visible():
+            expect(page.locator("#message")).to_contain_text(re.compile("hold the arm still|answered just now"))
+    state(page, "holding")
 
 
 def test_a_slider_shows_where_the_arm_would_go_and_a_click_sends_it_there(page: Page, stand: Stand) -> None:
