@@ -5,14 +5,15 @@ Rules.
    corrected, so that the goals of joints that are to stand stay.
 2. The arm stands where gravity on its joints is least. For each joint that feels gravity another one leans it this way
    and that, just so far that its shaft crosses its play and its motor stands; a joint that gravity does not mind sweeps
-   meanwhile. Then each of the others sweeps, where gravity pulls it this way and where it pulls it that way.
+   meanwhile. Then each of the others sweeps, where gravity pulls it this way and where it pulls it that way, and the
+   last joint leans with it, so that those that carry it tell what it weighs.
 3. A sweep is fast for delay and motor, slower for friction, and creeps at last for stiction. All that the recordings
    hold counts, for the joints that stand as well.
 """
 
 import json
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import cycle, product
 from pathlib import Path
@@ -57,8 +58,8 @@ LOOK_S = 0.1
 # A joint that turns gravity about others by less than this does not mind it [N m/rad].
 NEUTRAL_NM = 0.03
 STARTS, STEPS, TRIED, HEAVY_NM2 = 400, 80, 40, 0.005
-# A joint, how far it then is from the base pose [rad], and how fast it goes there [rad/s]; NaN: how long it stands [s].
-Move = tuple[int, float, float]
+# How far joints then are from the base pose [rad], and how fast the farthest goes [rad/s]; none: for how long [s].
+Move = tuple[Mapping[int, float], float]
 
 
 def leg(way_rad: float, speed_rad_s: float, period_s: float) -> FloatArray:
@@ -77,45 +78,41 @@ def leg(way_rad: float, speed_rad_s: float, period_s: float) -> FloatArray:
 
 def rows_of(base: FloatArray, moves: Iterable[Move], period_s: float) -> FloatArray:
     """All joints [rad], a row a period, from where the arm stands on."""
-    rows = [base[None]]
-    for joint, to, speed in moves:
-        here = rows[-1][-1]
-        way = (
-            np.zeros(round(to / period_s))
-            if math.isnan(speed)
-            else leg(base[joint] + to - here[joint], speed, period_s)
-        )
-        if len(way):
-            rows.append(np.tile(here, (len(way), 1)))
-            rows[-1][:, joint] += way
-    return np.concatenate(rows)
+    rows = [base]
+    for to, speed in moves:
+        here = rows[-1]
+        way = np.array([base[j] + to[j] - here[j] if j in to else 0.0 for j in range(len(base))])
+        most = float(np.abs(way).max())
+        share = leg(most, speed, period_s) / most if most else np.zeros(0 if to else round(speed / period_s))
+        rows += list(here + np.outer(share, way))
+    return np.array(rows)
 
 
-def sweep(joint: int, legs: Iterable[tuple[float, float]], out_rad: float, slower: float) -> Iterator[Move]:
-    """A joint's legs to either side of where it is so far out."""
+def sweep(joint: int, legs: Iterable[tuple[float, float]], last: int, out_rad: float, slower: float) -> Iterator[Move]:
+    """A joint's legs to either side of where it is so far out, and another one leans as it does."""
     for about in (out_rad, -out_rad) if out_rad else (0.0,):
+        to = {last: math.copysign(OUT_RAD[0], about)} if out_rad else {}
         for share, speed in ((0.0, 40.0), *legs):
-            yield joint, about + share * SWEEP_RAD, math.radians(speed) * (slower if speed > FAST_DEG_S else 1.0)
+            yield to | {joint: about + share * SWEEP_RAD}, math.radians(speed) * (slower if speed > FAST_DEG_S else 1.0)
 
 
 def lean(by: int, about_rad: float, lean_rad: float, sweeping: int | None, *_: float) -> Iterator[Move]:
     """A joint leans the arm this way and that, while another one sweeps."""
     legs, here = cycle(LEGS), 0.0
     for k, left_s in enumerate(LEAN_S):
-        yield by, about_rad + (lean_rad if k % 2 else -lean_rad), math.radians(FAST_DEG_S)
+        yield {by: about_rad + (lean_rad if k % 2 else -lean_rad)}, math.radians(FAST_DEG_S)
         if sweeping is None:
-            yield by, left_s, math.nan
+            yield {}, left_s
         while sweeping is not None and left_s > 0.0:
             share, speed = next(legs)
             left_s -= LOOK_S * len(leg((share - here) * SWEEP_RAD, math.radians(speed), LOOK_S))
             here = share
-            yield sweeping, share * SWEEP_RAD, math.radians(speed)
+            yield {sweeping: share * SWEEP_RAD}, math.radians(speed)
 
 
 def gravity_Nm(arm: ArmConfig, robot: Robot, q: FloatArray) -> FloatArray:
     """About each joint of an arm nobody has weighed, at positions q [rad]: both of shape (m, joints)."""
-    gravity, _ = identification.burdens(arm, robot.chain, q)
-    return np.asarray((gravity @ identification.usual_kg(arm, robot.chain.n)).T)
+    return np.asarray((identification.burdens(arm, robot.chain, q)[0] @ identification.usual_kg(arm, robot.chain.n)).T)
 
 
 def balanced(arm: ArmConfig, robot: Robot) -> list[FloatArray]:
@@ -133,8 +130,7 @@ def balanced(arm: ArmConfig, robot: Robot) -> list[FloatArray]:
         near = np.clip(q + rng.normal(0.0, 0.5 * 0.92**k, q.shape), low, high)
         q = np.where((cost(near) < cost(q))[:, None], near, q)
     for k in range(len(middle)):  # what gravity does not mind stays in the middle
-        aside = q.copy()
-        aside[:, k] = middle[k]
+        aside = np.where(np.arange(len(middle)) == k, middle, q)
         q = np.where((np.abs(cost(aside) - cost(q)) < 1e-9)[:, None], aside, q)
     height_m = tool_position(robot.chain, q[:, : robot.chain.n])[:, 2]
     return list(q[np.lexsort((-height_m, cost(q) > HEAVY_NM2))[:TRIED]])
@@ -149,7 +145,7 @@ def plans(on: Driven, joints: Sequence[int], quick_at: Sequence[float] | None = 
         RequestRefused: NO_ROOM.
     """
     for base in balanced(on.arm, on.robot) if quick_at is None else [np.array(quick_at)]:
-        quick = [(j, 0.0, partial(sweep, j, QUICK)) for j in joints]
+        quick = [(j, 0.0, partial(sweep, j, QUICK, j)) for j in joints]
         wanted = quick if quick_at is not None else _wanted(on.arm, on.robot, base, joints)
         found = [(on.arm.joints[j].name, _allowed(on, base, most, moves)) for j, most, moves in wanted]
         kept = [(name, plan) for name, plan in found if plan is not None]
@@ -187,9 +183,9 @@ def _wanted(
         yield j, 0.0, partial(lean, by, -float(now[j] / grows[j, by]), lean_rad, sweeping)
     for j in joints:
         if j in heavy:
-            yield j, PULLS_NM / abs(float(grows[j, j])), partial(sweep, j, HALF)
+            yield j, PULLS_NM / abs(float(grows[j, j])), partial(sweep, j, HALF, heavy[-1])
         elif len(leant) < len(neutral):
-            yield j, 0.0, partial(sweep, j, LEGS)
+            yield j, 0.0, partial(sweep, j, LEGS, j)
 
 
 def moved(
@@ -276,7 +272,7 @@ def save(config: Config, arm: ArmConfig, found: Found) -> Path:
         ConfigError: it cannot be written there.
     """
     kept = TwinJoint.model_fields.keys()
-    joints = {joint.name: {k: v for k, (v, _) in joint.values.items() if k in kept} for joint in found.joints}
+    joints = {one.name: {k: v for k, (v, _) in (one.likely | one.values).items() if k in kept} for one in found.joints}
     about = {"arm_id": arm.arm_id, "ramp_from_reference": found.ramp_from_reference, "points_kg": found.points_kg}
     path = sag_file.path_of(config).with_suffix("").with_suffix(".twin.json")
     write(path, json.dumps(about | {"joints": joints}, indent=1) + "\n")

@@ -42,18 +42,14 @@ def write(found: Found, path: Path) -> None:
     rows.append(("A new goal goes on from the speed ramp's place", "yes", ramp))
     page.heading("What the simulator assumes")
     page.table(("assumption", "assumed", "this arm"), rows, words=True)
-    columns = [(title, key) for key, (title, *_) in ASSUMED.items()]
 
-    def cell(values: dict[str, tuple[float, float]], key: str) -> str:
-        if key not in values:
-            return "not seen"
-        value, sd = values[key]
-        digits = max(0, 1 - math.floor(math.log10(sd)))
-        return f"{value:.{digits}f} \u00b1 {sd:.{digits}f}"
+    def cell(seen: tuple[float, float] | None) -> str:
+        digits = max(0, 1 - math.floor(math.log10(seen[1]))) if seen else 0
+        return f"{seen[0]:.{digits}f} \u00b1 {seen[1]:.{digits}f}" if seen else "not seen"
 
     page.heading("All figures, with standard deviations")
     page.table(
-        ("joint", *(title for title, _ in columns)),
-        [(number, *(cell(joint.values, key) for _, key in columns)) for number, joint in enumerate(found.joints, 1)],
+        ("joint", *(title for title, *_ in ASSUMED.values())),
+        [(number, *(cell(joint.values.get(key)) for key in ASSUMED)) for number, joint in enumerate(found.joints, 1)],
     )
     page.write(path)

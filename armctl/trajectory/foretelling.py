@@ -1,8 +1,10 @@
 """Where a servo is at its next reading, by what it was told: its motor and the masses that foretell it best. No arm.
 
-The position controller (`docs/simulator.md`) sees whole ticks; where in a tick shaft and ramp are is not known, and so
-its output is the mean over all places. With each goal, a delay after it was sent, the ramp goes on, or begins at the
-shaft. v: velocity, G: gravity, s: the side of v, inertia: that of motor and gears, and of the masses about the axis:
+The position controller (`docs/simulator.md`) sees whole ticks, and where in its tick a shaft is is not known. So what
+is foretold is a mean over some places of it; how it changes with the numbers, which in whole ticks it does by leaps, is
+taken from a controller whose output is the mean over all places. With each goal, a delay after it was sent, the ramp
+goes on, or begins at the shaft. v: velocity, G: gravity, s: the side of v, inertia: that of motor and gears, and of the
+masses about the axis:
 
     stall (output * voltage / 12 V - v / no_load) - inertia * dv/dt + G = s (coulomb + load_friction |G|)
 
@@ -13,7 +15,7 @@ Ticks, outputs, velocities and gravity are the servo's own, counter-clockwise po
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -25,6 +27,8 @@ from armctl.kinematics.transform import FloatArray
 
 STEPS, LEAST_INERTIA_S2 = 50, 5e-4
 FRICTION_SHARE = 0.08
+# Where in its tick a shaft may be.
+PLACES = (-0.375, -0.125, 0.125, 0.375)
 # Of each number in `Motor`: what is likely, its standard deviation (of the first three as a share), and the difference
 # by which a derivative is taken.
 LIKELY = (
@@ -34,10 +38,11 @@ LIKELY = (
 # Shares of a servo's mass and the tool's.
 SERVO_SHARE, TOOL_SHARE, SHARE_STEP = 0.09, 0.15, 0.02
 # Stretches that are close to one another, and the same wrong equations, tell less than so many.
-SPOILS = 100.0
+SPOILS = 20.0
 # Rounds at most, the change in standard deviations after which there is none more, the longest way of one in steps;
-# the least deviations of what is foretold [tick, rad/s, share of full output], and from how many on one counts less.
-ROUNDS, DONE, LEAP, LEAST, FAR = 8, 0.1, 15.0, ((0.3,), (0.02,), (0.01,)), 2.0
+# the deviations of what is foretold [tick, rad/s, share of full output], and from how many on one counts less. They are
+# not taken from what is left: where all is wrong nothing would count.
+ROUNDS, DONE, LEAP, OFF, FAR = 20, 0.1, 15.0, ((0.3,), (0.02,), (0.01,)), 2.0
 
 
 class Motor(NamedTuple):
@@ -60,8 +65,9 @@ class Stretches:
     """From one reading of a servo to the next, m times: arrays of shape (m,) where nothing else is said."""
 
     length_s: FloatArray
-    # At their begins.
+    # At their begins; the second: in which tick the controller sees the shaft.
     shaft_tick: FloatArray
+    whole_tick: FloatArray
     ramp_tick: FloatArray
     velocity_rad_s: FloatArray
     # After which time a goal was sent, inf: none; goals [tick] and speeds [tick/s] before and after it, shape (2, m).
@@ -94,20 +100,26 @@ def output(stretches: Stretches, error_tick: FloatArray) -> FloatArray:
     return np.asarray(np.sign(error_tick) * (low + (np.abs(error_tick) - whole) * (high - low)))
 
 
-def foretold(stretches: Stretches, weights: FloatArray, motor: Motor) -> FloatArray:
-    """What is to be seen at the ends, as `Stretches.seen`."""
+def foretold(stretches: Stretches, weights: FloatArray, motor: Motor, place: float | None = None) -> FloatArray:
+    """What is to be seen at the ends, as `Stretches.seen`.
+
+    Args:
+        place: Where in its tick each shaft begins; None: the mean over all places.
+    """
     one, dt = stretches, stretches.length_s / STEPS
-    x, ramp, v = one.shaft_tick, one.ramp_tick, one.velocity_rad_s
+    sees: Callable[[FloatArray], FloatArray] = np.asarray if place is None else np.rint
+    begin = one.shaft_tick if place is None else one.whole_tick + place
+    x, ramp, v = begin, one.ramp_tick, one.velocity_rad_s
     gravity, waits = one.gravity @ weights, np.isfinite(one.sent_s)
     inertia = max(motor.inertia_s2, LEAST_INERTIA_S2) * motor.stall_Nm + one.inertia_m2 @ weights
     for i in range(STEPS):
         later = np.clip(i + 1.0 - (one.sent_s + motor.delay_s) / dt, 0.0, 1.0)  # share of the step after the new goal
         if not one.from_reference:
             begins = waits & (later > 0.0)
-            ramp, waits = np.where(begins, x, ramp), waits & ~begins
+            ramp, waits = np.where(begins, sees(x), ramp), waits & ~begins
         G = gravity[0] + (gravity[1] - gravity[0]) * ((i + 0.5) / STEPS)
         friction = motor.coulomb_Nm + motor.load_friction * np.abs(G)
-        drive = output(one, ramp - x) * one.volts - v / motor.no_load_rad_s
+        drive = output(one, sees(ramp) - sees(x)) * one.volts - v / motor.no_load_rad_s
         torque = motor.stall_Nm * drive + G
         side = np.where(v != 0.0, np.sign(v), np.sign(torque))
         after = v + (torque - side * friction) * dt / inertia
@@ -116,7 +128,7 @@ def foretold(stretches: Stretches, weights: FloatArray, motor: Motor) -> FloatAr
         x = x + v * dt / TICK_RAD
         for goal, speed, part_s in zip(one.goal_tick, one.speed_tick_s, ((1.0 - later) * dt, later * dt), strict=True):
             ramp = ramp + np.clip(goal - ramp, -speed * part_s, speed * part_s)
-    return np.array([x - one.shaft_tick, v, output(one, ramp - x)])
+    return np.array([x - begin, v, output(one, sees(ramp) - sees(x))])
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,15 +188,14 @@ def _slopes(
     n = len(guess.kg)
     for h, one in seen.items():
 
-        def left(theta: FloatArray, h: int = h, one: Stretches = one) -> FloatArray:
-            return foretold(one, *guess.means(theta, h)) - one.seen
+        def left(theta: FloatArray, place: float | None = None, h: int = h, one: Stretches = one) -> FloatArray:
+            return foretold(one, *guess.means(theta, h), place) - one.seen
 
         felt = (np.abs(one.gravity).max(axis=(0, 1)) > 1e-6).reshape(-1, n)
         zeros = n - 1 + len(LIKELY) * (1 + np.flatnonzero(felt[1:].any(axis=1)))
         own = np.unique(np.r_[np.flatnonzero(felt[0]), zeros, n + len(LIKELY) * h + np.arange(8)])
-        r = left(theta)
-        sd = np.maximum(1.48 * np.median(np.abs(r), axis=1, keepdims=True), LEAST)
-        weight = 1.0 / np.sqrt(np.maximum(1.0, np.abs(r) / (FAR * sd))) / sd
+        r = np.mean([left(theta, place) for place in PLACES], axis=0)
+        weight = 1.0 / np.sqrt(np.maximum(1.0, np.abs(r) / np.multiply(FAR, OFF))) / OFF
         moved = np.eye(len(theta))[own] * step
         J = [weight * (left(theta + d) - left(theta - d)) / (2.0 * d.max()) for d in moved]
         yield own, np.array(J).reshape(len(own), -1), (weight * r).ravel()

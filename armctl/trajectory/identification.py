@@ -38,12 +38,14 @@ UNSEEN_DELAY_S, OUTLIER_TICK = 0.008, 8.0
 FULL, GAP_S, USUAL = 0.9, 0.3, {"delay_ms": (34.0, 12.0), "noise_tick": (1.0, 0.5)}
 # A delay that only motions tell is told if it is known so well [s]; stretches of motion that tell all.
 SEEN_DELAY_S, STRETCHES = 0.004, 1500
+# A friction is told if it is known so well (as a share).
+SEEN_FRICTION = 0.076
 # Samples without which nothing is said, and with which all is; of a stand on either side of a play, and before it.
 FEWEST, MOST, STAND, SETTLES = 40, 20_000, 15, 8
 # Gravity that pushes a shaft to an end of its play [N m], and what of its friction may turn its motor.
 PUSHES_NM, TURNS = 0.02, 0.75
 # The least standard deviations: friction, speed, slope (shares), play [deg], delay [s].
-FLOOR = {"friction": 0.06, "speed": 0.06, "play": 0.02, "delay": 0.0015, "jump": 0.003, "slope": 0.02}
+FLOOR = {"friction": 0.055, "speed": 0.06, "play": 0.02, "delay": 0.0015, "jump": 0.003, "slope": 0.02}
 QUANTITIES = ("coulomb_Nm", "stiction_ratio", "slope_tick", "punch", "play_deg", "delay_ms")
 
 
@@ -96,6 +98,8 @@ class JointFound:
     name: str
     values: dict[str, tuple[float, float]] = field(default_factory=dict)
     unseen: dict[str, str] = field(default_factory=dict)
+    # Of friction and delay, told or not, what is likely by all that was seen: a twin has this.
+    likely: dict[str, tuple[float, float]] = field(default_factory=dict)
     # How much better a ramp that goes on explains it than one from the shaft: logarithm of the ratio of likelihoods.
     ramp_evidence: float = 0.0
 
@@ -134,6 +138,10 @@ def identify(arm: ArmConfig, chain: SerialChain, trace: Trace) -> Found:
     for h, found in enumerate(joints):
         _fit_stiction(trace, h, loads[0, h] @ weights, found)
         _fit_play(trace, h, loads[0, h] @ weights, found)
+        value, sd = found.values.get("coulomb_Nm", (1.0, 0.0))
+        if sd > SEEN_FRICTION * value:
+            del found.values["coulomb_Nm"]
+            found.unseen["coulomb_Nm"] = f"no load shows its strength; {value / found['stall_Nm']:.1%} of that"
     return Found(joints, [SERVO_KG, *weights[: chain.n + 1].tolist()])
 
 
@@ -255,9 +263,8 @@ def _balance(arm: ArmConfig, trace: Trace, loads: FloatArray, joints: Sequence[J
     strong = [model.stall_torque_Nm * (1 if j.pair is None else 2) for model, j in zip(models, arm.joints, strict=True)]
     delays = [joint.values.get("delay_ms", (math.nan, math.nan)) for joint in joints]
     speeds = np.array([model.no_load_speed_rad_s for model in models])
-    guess = foretelling.Guess(
-        usual_kg(arm, loads.shape[3] // (1 + len(joints)) - 1), np.array(strong), speeds, 1e-3 * np.array(delays).T
-    )
+    kg = usual_kg(arm, loads.shape[3] // (1 + len(joints)) - 1)
+    guess = foretelling.Guess(kg, np.array(strong), speeds, 1e-3 * np.array(delays).T)
     seen = {h: _stretches(trace, h, loads[:, h], found) for h, found in enumerate(joints) if "gain" in found.values}
     theta, cov = foretelling.fit(guess, {h: one for h, one in seen.items() if len(one.length_s)})
     count = len(foretelling.LIKELY)
@@ -270,13 +277,15 @@ def _balance(arm: ArmConfig, trace: Trace, loads: FloatArray, joints: Sequence[J
         joint.values["stall_Nm"] = motor.stall_Nm, motor.stall_Nm * sds.stall_Nm
         joint.values["no_load_rad_s"] = free, free * math.hypot(sds.no_load_rad_s, FLOOR["speed"])
         joint.values["load_friction"] = motor.load_friction, sds.load_friction
+        joint.likely["delay_ms"] = delay = 1e3 * motor.delay_s, 1e3 * math.hypot(sds.delay_s, FLOOR["jump"])
+        joint.likely["coulomb_Nm"] = friction = motor.coulomb_Nm, motor.coulomb_Nm * math.hypot(both, FLOOR["friction"])
         v = seen[h].seen[1] if h in seen else np.zeros(0)
         if min((v > 0.0).sum(), (v < 0.0).sum()) < FEWEST / 4:
             joint.unseen["coulomb_Nm"] = "it did not slide long enough, both ways" if h in seen else "see slope_tick"
             continue
-        joint.values["coulomb_Nm"] = motor.coulomb_Nm, motor.coulomb_Nm * math.hypot(both, FLOOR["friction"])
+        joint.values["coulomb_Nm"] = friction
         if "delay_ms" not in joint.values and sds.delay_s <= SEEN_DELAY_S:
-            joint.values["delay_ms"] = 1e3 * motor.delay_s, 1e3 * math.hypot(sds.delay_s, FLOOR["jump"])
+            joint.values["delay_ms"] = delay
             joint.unseen.pop("delay_ms", None)
     return guess.means(theta, 0)[0]
 
@@ -293,19 +302,20 @@ def _stretches(trace: Trace, h: int, loads: FloatArray, found: JointFound) -> fo
     said = trace.position_tick[:, h]
     both = worked + (said - worked) * worked_var / (said_var + worked_var)
     x = np.where(output != 0.0, both, np.clip(said, ramp - 1.0 - margin, ramp + 1.0 + margin))
+    behind = np.where(output != 0.0, worked, np.clip(said, ramp - margin, ramp + margin)) - ramp
     k = np.arange(1, len(t) - 1)
     sides = np.sign([v[:-2], v[1:-1], v[2:]])
     one_way = np.abs(sides.sum(axis=0)) == np.abs(sides).sum(axis=0)
     told, limited = _told(trace, h), np.abs(output) >= FULL
     moves = (v[k] != 0.0) | (v[k + 1] != 0.0) | ((output[k] != 0.0) & (k % 3 == 0))
-    k = k[
-        one_way & moves & told[:-2] & told[1:-1] & told[2:] & (t[2:] - t[1:-1] < GAP_S) & ~(limited[1:-1] | limited[2:])
-    ]
+    near = told[:-2] & told[1:-1] & told[2:] & (t[2:] - t[1:-1] < GAP_S)
+    k = k[one_way & moves & near & ~(limited[1:-1] | limited[2:])]
     k = k[:: 1 + len(k) // STRETCHES]
     volts = (trace.voltage_V[k, h] + trace.voltage_V[k + 1, h]) / (2.0 * RATED_V)
     goal_tick = np.array([trace.shown_tick[k, h], trace.goal_tick[k, h]])
     return foretelling.Stretches(
-        length_s=t[k + 1] - t[k], shaft_tick=x[k], ramp_tick=ramp[k], velocity_rad_s=v[k], goal_tick=goal_tick,
+        length_s=t[k + 1] - t[k], shaft_tick=x[k], whole_tick=(np.rint(ramp) + np.rint(behind))[k], ramp_tick=ramp[k],
+        velocity_rad_s=v[k], goal_tick=goal_tick,
         sent_s=np.where(np.isfinite(trace.sent_s[k]), trace.sent_s[k] - t[k], math.inf),
         speed_tick_s=trace.speed_tick_s[[k - 1, k], h], from_reference=found.ramp_evidence > 0.0,
         margin_tick=margin[k], punch=punch, gain=gain, volts=volts, gravity=loads[0, [k, k + 1]],
@@ -331,8 +341,7 @@ def _fit_stiction(trace: Trace, h: int, G: FloatArray, found: JointFound) -> Non
     least = float(np.quantile(bears[k], 0.9))
     most = float(np.quantile(bears[k] * (1.0 + found["stall_Nm"] * found["gain"] * steps / np.abs(torque[k])), 0.1))
     # Most of what came last before was close below.
-    sd = max(abs(most - least) / 4.0, 0.08 * least)
-    found.values["stiction_ratio"] = max(1.0, least + (most - least) / 4.0), sd
+    found.values["stiction_ratio"] = max(1.0, least + (most - least) / 4.0), max(abs(most - least) / 4.0, 0.08 * least)
 
 
 def _fit_play(trace: Trace, h: int, G: FloatArray, found: JointFound) -> None:

@@ -22,6 +22,7 @@ def stretches(m: int = 1, **changes: object) -> Stretches:
     still = Stretches(
         length_s=0.1 * ones,
         shaft_tick=500.0 * ones,
+        whole_tick=500.0 * ones,
         ramp_tick=500.0 * ones,
         velocity_rad_s=0.0 * ones,
         sent_s=math.inf * ones,
@@ -94,29 +95,40 @@ def test_a_goal_moves_nothing_before_its_delay(delay_s: float, from_reference: b
     assert foretold(late, NO_KG, motor)[0, 0] > 0.0
 
 
+@given(error=st.floats(2.0, 20.0), place=st.sampled_from(foretelling.PLACES))
+def test_whole_ticks_are_seen_until_the_shaft_reaches_another_one(error: float, place: float) -> None:
+    """The output at the end is one of the controller's levels, and the shaft goes where it pushes."""
+    pushed = stretches(ramp_tick=np.array([500.0 + error]), goal_tick=np.full((2, 1), 500.0 + error))
+    way, _, output = foretold(pushed, NO_KG, MOTOR, place)[:, 0]
+    left = round(500.0 + error) - round(500.0 + place + way)
+    level = 0.03 + (abs(left) - 1.0) * 0.04 if abs(left) > 1 else 0.0
+    assert output == pytest.approx(math.copysign(level, left))
+    assert way >= 0.0
+
+
+@pytest.mark.parametrize("friction_Nm", [0.15, 0.27])
 @pytest.mark.parametrize("from_reference", [True, False])
-def test_numbers_are_found_from_what_they_foretold(from_reference: bool) -> None:
+def test_numbers_are_found_from_what_they_foretold(from_reference: bool, friction_Nm: float) -> None:
+    """Also friction that is far from what is usual."""
     rng, m = np.random.default_rng(3), 900
     side = rng.choice([-1.0, 1.0], m)
     way, at = side * rng.uniform(3.0, 12.0, m), rng.uniform(-math.pi, math.pi, m)
     pulls, leans = np.cos(at), -np.sin(at)
+    whole, place = 500.0 - side * rng.integers(3, 10, m), rng.uniform(-0.5, 0.5, m)
     made = stretches(
-        m, shaft_tick=500.0 - side * rng.uniform(3.0, 9.0, m), velocity_rad_s=side * rng.uniform(0.1, 0.5, m),
+        m, shaft_tick=whole, whole_tick=whole, velocity_rad_s=side * rng.uniform(0.1, 0.5, m),
         sent_s=np.full(m, 0.004), goal_tick=np.array([500.0 + 0.0 * way, 500.0 + way]),
         speed_tick_s=np.tile(np.abs(way) / (0.1 if from_reference else 0.01), (2, 1)), from_reference=from_reference,
         gravity=np.stack([pulls, leans], axis=1)[None].repeat(2, axis=0), inertia_m2=np.full((m, 2), [0.03, 0.0]),
     )  # fmt: skip
-    true = Motor(1.35, 6.5, 0.15, 0.03, 1.3, 0.041, 0.002, 0.02)
-    seen = foretold(made, 0.3 * np.array([1.0, true.zero_rad]), true) + rng.normal(0.0, 1.0, (3, m)) * [
-        [0.3],
-        [0.01],
-        [0.01],
-    ]
+    true = Motor(1.35, 6.5, friction_Nm, 0.03, 1.3, 0.041, 0.002, 0.02)
+    noise = rng.normal(0.0, 1.0, (3, m)) * [[0.3], [0.01], [0.01]]
+    seen = foretold(made, 0.3 * np.array([1.0, true.zero_rad]), true, place) + noise  # type: ignore[arg-type]
     guess = Guess(np.array([0.3]), np.array([1.5]), np.array([6.2]), np.full((2, 1), math.nan))
     theta, cov = fit(guess, {0: replace(made, seen=seen)})
     kg, motor = guess.means(theta, 0)
     assert kg[0] / motor.stall_Nm == pytest.approx(0.3 / 1.35, rel=0.04)
-    assert motor.coulomb_Nm / motor.stall_Nm == pytest.approx(0.15 / 1.35, rel=0.05)
+    assert motor.coulomb_Nm / motor.stall_Nm == pytest.approx(friction_Nm / 1.35, rel=0.05)
     assert motor.no_load_rad_s == pytest.approx(6.5, rel=0.05)
     assert motor.delay_s == pytest.approx(0.041, abs=0.003)
     assert motor.zero_rad == pytest.approx(0.02, abs=0.01)
