@@ -37,6 +37,8 @@ from armctl.trajectory.thinning import thinned
 STUCK_S = 60.0
 # Longest way to rest: half a turn of every joint at 20 deg/s takes a quarter of it.
 PARK_S = 60.0
+# For how long torque is asked for again when a servo was not heard just then.
+UNHEARD_NS = 300_000_000
 # What a run's recording keeps after the motion has ended.
 TAIL_NS = 300_000_000
 # What the arm does is not told from a tick that is later than its period by more than this.
@@ -191,10 +193,18 @@ class Host:
     async def command(self, client: Client, what: str) -> dict[str, Any]:
         """One of `COMMANDS`; returns when the control process has carried it out, or refused it.
 
-        `park` goes slowly to rest, limp once there; a client that leaves meanwhile stops the arm.
+        Torque is asked for again when a reply was late just then. `park` goes slowly to rest, limp once there; a client
+        that leaves meanwhile stops the arm.
         """
+        asked_ns = self._clock.now_ns()
         with self.leases.commanding(client, what):
-            await self.exchange.request(COMMANDS[what], PARK_S if what == "park" else ANSWER_S)
+            while True:
+                try:
+                    await self.exchange.request(COMMANDS[what], PARK_S if what == "park" else ANSWER_S)
+                    break
+                except RequestRefused as refused:
+                    if refused.code != "NO_REPLY" or self._clock.now_ns() - asked_ns > UNHEARD_NS:
+                        raise
         self.notice = "" if what == "clear" else self.notice
         return self.state()
 

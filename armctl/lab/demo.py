@@ -57,8 +57,6 @@ STOP_TIMEOUT_S = 5.0
 GOALS: tuple[Goals, ...] = get_args(Goals)
 # Further runs of a plan at most, which correct it.
 REFINE = 1
-# So often torque is asked for again.
-ASKED_AGAIN = 5
 Ends = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 
@@ -154,22 +152,9 @@ def _teach(session: _Session, seed: int) -> list[str]:
             session.wait_ticks(5)
             show(at_B + 5, "")
     client.call("teach_end")
-    _torque_on(session)
+    client.call("torque_on")
     session.simulator.let_go()
     return names
-
-
-def _torque_on(session: _Session) -> None:
-    """As a person would: where a busy machine made one reply late just then, ask again."""
-    for _ in range(ASKED_AGAIN):
-        try:
-            session.client.call("torque_on")
-            return
-        except RequestRefused as refused:
-            if refused.code != "NO_REPLY":
-                raise
-            session.wait_ticks(5)
-    session.client.call("torque_on")
 
 
 def _optimise(session: _Session, names: list[str], seed: int) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 
+from armctl.clock import NS_PER_S
 from armctl.errors import IllegalTransition, RequestRefused
 from armctl.host import host as host_module
 from armctl.host import teaching
@@ -20,6 +21,24 @@ async def test_a_refusal_of_the_control_step_reaches_the_client_as_it_is(bench: 
     error = await bench.refused(bench.host.command(bench.anna, "torque_on"), "ILLEGAL_TRANSITION")
     assert isinstance(error, IllegalTransition)
     assert "holding" in str(error)
+
+
+async def test_torque_comes_on_when_a_late_reply_has_come(limp: Bench) -> None:
+    limp.arm.silent = {2}
+    coming = asyncio.ensure_future(limp.host.command(limp.anna, "torque_on"))
+    for _ in range(3):
+        await asyncio.sleep(0)
+        limp.tick()
+    assert not coming.done()
+    limp.arm.silent = set()
+    assert await limp.served(coming) == {"state": "holding"}
+
+
+async def test_torque_is_refused_while_a_servo_is_silent(limp: Bench) -> None:
+    limp.arm.silent = {2}
+    begin_s = limp.clock.now_ns() / NS_PER_S
+    await limp.refused(limp.host.command(limp.anna, "torque_on"), "NO_REPLY")
+    assert 0.3 < limp.clock.now_ns() / NS_PER_S - begin_s < 0.6
 
 
 @pytest.mark.parametrize("what", ["release", "park"])

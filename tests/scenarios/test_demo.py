@@ -5,15 +5,13 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 from unittest.mock import patch
 
 import pytest
 
 from armctl.commissioning import sag_file
 from armctl.config import Config
-from armctl.errors import ConfigError, RequestRefused
+from armctl.errors import ConfigError
 from armctl.files import load_arm
 from armctl.lab import demo
 from armctl.lab.stage import silent
@@ -97,25 +95,3 @@ def test_a_demonstration_whose_terminal_closes_ends_its_programs(tmp_path: Path)
         running.stderr.read()
         assert running.wait() == 128 + signal.SIGHUP
     assert not [pid for pid in started if alive(pid)]
-
-
-def test_torque_is_asked_for_again_after_a_reply_that_came_late_and_after_nothing_else() -> None:
-    asked: list[str] = []
-
-    class Refusing:
-        def __init__(self, *codes: str) -> None:
-            self.codes = list(codes)
-
-        def call(self, method: str) -> None:
-            asked.append(method)
-            if self.codes:
-                raise RequestRefused(self.codes.pop(0), "not now")
-
-    def session(*codes: str) -> Any:
-        return SimpleNamespace(client=Refusing(*codes), wait_ticks=lambda _: None)
-
-    demo._torque_on(session("NO_REPLY", "NO_REPLY"))
-    assert len(asked) == 3
-    with pytest.raises(RequestRefused, match="not now"):
-        demo._torque_on(session("NOT_TAKEN"))
-    assert len(asked) == 4
