@@ -215,6 +215,7 @@ class Output:
                 bars.update(bar, completed=done, note=note)
 
             yield show
+            bars.update(bar, completed=total)
 
 
 def millimetres(point_m: Iterable[float]) -> str:
