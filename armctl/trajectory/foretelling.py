@@ -100,7 +100,9 @@ def output(stretches: Stretches, error_tick: FloatArray) -> FloatArray:
     return np.asarray(np.sign(error_tick) * (low + (np.abs(error_tick) - whole) * (high - low)))
 
 
-def foretold(stretches: Stretches, weights: FloatArray, motor: Motor, place: float | None = None) -> FloatArray:
+def foretold(
+    stretches: Stretches, weights: FloatArray, motor: Motor, place: FloatArray | float | None = None
+) -> FloatArray:
     """What is to be seen at the ends, as `Stretches.seen`.
 
     Args:

@@ -123,7 +123,7 @@ def test_numbers_are_found_from_what_they_foretold(from_reference: bool, frictio
     )  # fmt: skip
     true = Motor(1.35, 6.5, friction_Nm, 0.03, 1.3, 0.041, 0.002, 0.02)
     noise = rng.normal(0.0, 1.0, (3, m)) * [[0.3], [0.01], [0.01]]
-    seen = foretold(made, 0.3 * np.array([1.0, true.zero_rad]), true, place) + noise  # type: ignore[arg-type]
+    seen = foretold(made, 0.3 * np.array([1.0, true.zero_rad]), true, place) + noise
     guess = Guess(np.array([0.3]), np.array([1.5]), np.array([6.2]), np.full((2, 1), math.nan))
     theta, cov = fit(guess, {0: replace(made, seen=seen)})
     kg, motor = guess.means(theta, 0)
