@@ -32,6 +32,12 @@ def to_json(message: Any) -> str:
     return json.dumps(message, default=_plain, separators=(",", ":"), allow_nan=False)
 
 
+def named(result: object, *names: str) -> dict[str, Any]:
+    """Attributes of anything by their names, arrays as lists."""
+    values = ((name, getattr(result, name)) for name in names)
+    return {name: value.tolist() if hasattr(value, "tolist") else value for name, value in values}
+
+
 def from_json(kind: type[T], text: str) -> T:
     """The message of type `kind` written by `to_json`.
 

@@ -224,15 +224,9 @@ def web_command(ctx: click.Context, port: int | None, lan: bool) -> None:
         from armctl.web.server import serve
 
         output = ctx.ensure_object(Output)
-        serve(
-            output.arm,
-            output.config,
-            socket=socket_path(output.socket),
-            port=port or (8443 if lan else 8080),
-            ready=partial(output.ready, "address"),
-            config_file=output.config_file,
-            lan=lan,
-        )
+        told = partial(serve, ready=partial(output.ready, "address"), config_file=output.config_file, lan=lan)
+        port = port or (8443 if lan else 8080)
+        told(output.arm, output.config, socket=socket_path(output.socket), port=port)
 
 
 web_command.params += [*parameters("processes", "web"), SOCKET, CONFIG, JSON]

@@ -20,13 +20,13 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, cast
 
-import numpy as np
 from pydantic import Field
 
 from armctl.config import ArmConfig, Name
 from armctl.errors import ArmctlError, RequestRefused
 from armctl.genetic.request import OptimizeRequest, ViaCounts
 from armctl.genetic.straight_line import Progress, optimize
+from armctl.json_text import named
 from armctl.kinematics import robots
 from armctl.kinematics.chain import SerialChain
 from armctl.messages import LagModel
@@ -202,16 +202,16 @@ def optimize_task(job: OptimizeJob, progress: Progress) -> dict[str, Any]:
         ],
         "best_take_mm": min(error.mean_error_mm for error in result.baseline),
         "ga": {
-            **_named(ga.path, "mean_error_mm", "max_error_mm"),
-            **_named(ga, "generations", "evaluations"),
+            **named(ga.path, "mean_error_mm", "max_error_mm"),
+            **named(ga, "generations", "evaluations"),
             "evaluations_per_s": ga.evaluations / max(times_s[-1] - times_s[0], 1e-9),
-            **_named(ga.path, "feasible", "tool_m"),
+            **named(ga.path, "feasible", "tool_m"),
         },
-        "exact": _named(exact, "mean_error_mm", "max_error_mm", "tool_m"),
+        "exact": named(exact, "mean_error_mm", "max_error_mm", "tool_m"),
         "gap_ratio": result.gap_ratio,
-        "free": free and _named(free, "mean_error_mm", "max_error_mm", "largest_offset_rad", "feasible", "tool_m"),
+        "free": free and named(free, "mean_error_mm", "max_error_mm", "largest_offset_rad", "feasible", "tool_m"),
         "plans": [
-            _named(plan, "via", "predicted_mean_error_mm", "predicted_max_error_mm", "duration_s")
+            named(plan, "via", "predicted_mean_error_mm", "predicted_max_error_mm", "duration_s")
             | _expected(job, robot.chain, plan)
             | {"text": plan_to_text(plan)}
             for plan in result.plans
@@ -225,9 +225,3 @@ def _expected(job: OptimizeJob, chain: SerialChain, plan: Plan) -> dict[str, Any
     mean_mm, max_mm = expected_mm(job.arm, chain, plan, job.model)
     known = job.model is not None and job.arm.correction
     return {"sag_model": known, "expected_mean_error_mm": mean_mm, "expected_max_error_mm": max_mm}
-
-
-def _named(result: object, *names: str) -> dict[str, Any]:
-    """Attributes of a result as plain values of JSON."""
-    values = ((name, getattr(result, name)) for name in names)
-    return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in values}

@@ -10,6 +10,7 @@ from typing import Any
 from armctl.clock import NS_PER_S
 from armctl.config import ArmConfig
 from armctl.control.faults import card
+from armctl.json_text import named
 from armctl.kinematics.transform import matrix_from_quaternion, rpy_from_matrix
 from armctl.messages import Fault, JointState, TickRecord
 from armctl.recording.channels import OVERRUN_NS
@@ -120,12 +121,10 @@ def note_words(message: dict[str, Any]) -> str:
 
 def _card(fault: Fault, told: tuple[str, str], now_ns: int) -> dict[str, Any]:
     return {
-        "code": fault.code,
-        "servo_id": fault.servo_id,
+        **named(fault, "code", "servo_id", "text"),
         "since_s": max(0, now_ns - fault.since_ns) / NS_PER_S,
         "arm": told[0],
         "next": told[1],
-        "text": fault.text,
         "follows": fault.follows or None,
     }
 
@@ -133,7 +132,7 @@ def _card(fault: Fault, told: tuple[str, str], now_ns: int) -> dict[str, Any]:
 def _joint(state: JointState | None, tick_age_s: float | None) -> dict[str, Any]:
     if state is None or tick_age_s is None or not state.known:
         return dict.fromkeys(JOINT_KEYS)
-    return {**{key: getattr(state, key) for key in JOINT_KEYS}, "age_s": state.age_s + tick_age_s}
+    return {**named(state, *JOINT_KEYS), "age_s": state.age_s + tick_age_s}
 
 
 def _percentile(values: tuple[int, ...], percent: int) -> int:

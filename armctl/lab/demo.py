@@ -18,6 +18,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, get_args
 
@@ -32,6 +33,7 @@ from armctl.config import ArmConfig, Config
 from armctl.errors import ArmctlError, ConfigError, RequestRefused, UnreachableTarget
 from armctl.files import load_arm, read_text
 from armctl.genetic.algorithm import DEFAULT
+from armctl.json_text import named
 from armctl.kinematics import robots
 from armctl.kinematics.chain import tool_position
 from armctl.lab import sag_identification
@@ -158,17 +160,13 @@ def _teach(session: _Session, seed: int) -> list[str]:
 
 
 def _optimise(session: _Session, names: list[str], seed: int) -> dict[str, Any]:
+    asked = {**dict(zip(("from_m", "to_m"), session.ends_m, strict=True)), "via": VIA, "duration_s": DURATION_S}
     with session.stage("optimising", DEFAULT.generations) as show:
-        return session.client.call(
-            "optimize",
-            on_progress=lambda p: show(p["generation"] + 1, f"{p['best']:.3f} mm"),
-            recordings=names,
-            from_m=session.ends_m[0],
-            to_m=session.ends_m[1],
-            via=VIA,
-            duration_s=DURATION_S,
-            seed=seed,
-        )
+
+        def tell(told: dict[str, Any]) -> None:
+            show(told["generation"] + 1, f"{told['best']:.3f} mm")
+
+        return session.client.call("optimize", on_progress=tell, recordings=names, seed=seed, **asked)
 
 
 def _run(session: _Session, out: Path, plan: Plan, *, corrected: bool) -> list[_Ran]:
@@ -245,25 +243,21 @@ def _finish(
             for key in replayed:
                 replayed[key] += getattr(result, key)
             show(count + 1, f"{count + 1} of {len(logs)}")
+    counted = "{ticks} ticks, {messages} messages, {mismatches} mismatches."
     chain = robots.of(arm).chain
     takes = [_recording(out, name).positions_rad for name in names]
     report = line.LineReport(
         ends=(np.array(session.ends_m[0]), np.array(session.ends_m[1])),
         joint_names=arm.joint_names,
         candidates_m=[tool_position(chain, q[:, : chain.n]) for q in takes],
-        candidate_errors_mm=[
-            (one["name"], one["mean_error_mm"], one["max_error_mm"], one["genes"]) for one in optimised["baseline"]
-        ],
+        candidate_errors_mm=[*map(itemgetter("name", "mean_error_mm", "max_error_mm", "genes"), optimised["baseline"])],
         ga_mean_mm=optimised["ga"]["mean_error_mm"],
         exact_mean_mm=optimised["exact"]["mean_error_mm"],
         gap_ratio=optimised["gap_ratio"],
         best_mm=np.array(optimised["history"]["best_cost_mm"]),
         mean_mm=np.array(optimised["history"]["mean_cost_mm"]),
         runs=[replace(line_run(chain, ran.plan.via, ran.plan, ran.measured), goals=ran.goals) for ran in runs],
-        notes=(
-            f"Every log was run through the control step again: {replayed['ticks']} ticks, "
-            f"{replayed['messages']} messages, {replayed['mismatches']} mismatches.",
-        ),
+        notes=("Every log was run through the control step again: " + counted.format_map(replayed),),
     )
     with stage("writing the report", 1) as show:
         line.write(report, out / "report.html")
@@ -290,8 +284,7 @@ def _row(ran: _Ran) -> dict[str, Any]:
         "via": plan.via,
         "corrected": ran.goals != "plain",
         **{key: ran.answer[key] for key in ("mean_error_mm", "max_error_mm", "duration_s")},
-        "predicted_mean_error_mm": plan.predicted_mean_error_mm,
-        "predicted_max_error_mm": plan.predicted_max_error_mm,
+        **named(plan, "predicted_mean_error_mm", "predicted_max_error_mm"),
         "truth": {"mean_error_mm": mean_mm, "max_error_mm": max_mm},
         "own_chord": dict(zip(("mean_error_mm", "max_error_mm"), own_chord_mm(tool_m), strict=True)),
         "recording": ran.answer["recording"],

@@ -21,6 +21,7 @@ from armctl.files import data_dir
 from armctl.genetic.algorithm import PROFILES
 from armctl.genetic.straight_line import optimize
 from armctl.host.jobs import NICENESS, load_takes
+from armctl.json_text import named
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
 from armctl.lab import correction, course, measured_tool, sag_identification
@@ -284,19 +285,13 @@ def genetic(takes: Sequence[FloatArray], rig: Rig, line: Line, asked: Asked) -> 
     ga, exact = result.ga, result.exact
     return {
         "profile": asked.profile,
-        "mean_error_mm": ga.path.mean_error_mm,
-        "max_error_mm": ga.path.max_error_mm,
-        "generations": ga.generations,
-        "evaluations": ga.evaluations,
-        "feasible": ga.path.feasible,
+        **named(ga.path, "mean_error_mm", "max_error_mm", "feasible"),
+        **named(ga, "generations", "evaluations"),
         "exact_mean_error_mm": exact.mean_error_mm,
         "gap_ratio": result.gap_ratio,
         "history": {"best_cost_mm": list(ga.best_cost_mm)},
         "baseline": [asdict(one) for one in result.baseline],
-        "plans": [
-            {key: getattr(plan, key) for key in ("via", "predicted_mean_error_mm", "predicted_max_error_mm")}
-            for plan in result.plans
-        ],
+        "plans": [named(plan, "via", "predicted_mean_error_mm", "predicted_max_error_mm") for plan in result.plans],
     }, ga.path.positions_rad[:, : rig.robot.chain.n]
 
 

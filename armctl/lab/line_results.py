@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from armctl.dynamixel.ax12a import TICK_RAD
+from armctl.json_text import named
 from armctl.kinematics.chain import SerialChain, tool_position
 from armctl.kinematics.transform import FloatArray
 from armctl.lab.course import Via
@@ -52,8 +53,7 @@ def row(line: Line, via: Via, rig: Rig, plan: Plan, runs: Sequence[Measured]) ->
         "duration_s": float(np.mean([run.duration_s for run in runs])),
         "truth": both(np.mean, true) if len(true) else None,
         "own_chord": both(np.mean, own) if len(own) else None,
-        "predicted_mean_error_mm": plan.predicted_mean_error_mm,
-        "predicted_max_error_mm": plan.predicted_max_error_mm,
+        **named(plan, "predicted_mean_error_mm", "predicted_max_error_mm"),
         "runs": len(runs),
         "spread": both(np.std, by_encoder),
         "recordings": [run.recording for run in runs if run.recording],

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from armctl.genetic.algorithm import PAPER
+from armctl.json_text import named
 from armctl.kinematics.transform import FloatArray
 from armctl.lab.rig import VirtualRig
 from armctl.lab.study.case import Case, Found
@@ -63,8 +64,7 @@ def run(case: Case) -> Found:
     row = {
         "experiment": plan.via + 1,
         "via": plan.via,
-        "mean_error_mm": result.ga.path.mean_error_mm,
-        "max_error_mm": result.ga.path.max_error_mm,
+        **named(result.ga.path, "mean_error_mm", "max_error_mm"),
         "duration_s": float(np.mean([run.duration_s for run in runs])),
         "recorded_mean_error_mm": float(np.mean(recorded_mm)),
         "spread_mm": float(np.std(recorded_mm)),

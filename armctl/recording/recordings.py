@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from armctl.clock import NS_PER_S
 from armctl.config import NAME_PATTERN, validate
 from armctl.errors import LogError
+from armctl.json_text import named
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
@@ -288,15 +289,10 @@ def describe(
             if np.linalg.norm(B - A) > MIN_LINE_M:
                 errors = errors_mm(points_m, A, B)
     return {
-        "name": recording.name,
+        **named(recording, "name", "duration_s", "samples", "arm_id", "calibration_hash", "complete"),
         "path": str(recording.path),
-        "duration_s": recording.duration_s,
-        "samples": recording.samples,
         "mean_error_mm": errors[0],
         "max_error_mm": errors[1],
-        "arm_id": recording.arm_id,
-        "calibration_hash": recording.calibration_hash,
-        "complete": recording.complete,
         "dead_samples": [0, 0] if recording.plan_s else [played.start, recording.samples - played.stop],
         **({"marks": via_marks(recording.path)} if with_marks else {}),
     }

@@ -44,6 +44,7 @@ from armctl.clock import NS_PER_S
 from armctl.config import validate
 from armctl.dynamixel import ax12a
 from armctl.errors import ArmctlError, PortMissing, RequestRefused
+from armctl.json_text import named
 from armctl.kinematics.transform import FloatArray
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.faults import Fault, check_servo
@@ -53,6 +54,8 @@ from armctl.sim.hand import Guided
 TRUTH_S = 1200
 TRUTH_PERIOD_NS = 10_000_000
 PIECE_SAMPLES = 100
+# What is told of a servo beside some registers.
+SERVO = ("servo_id", "torque_enabled", "position_tick", "output", "voltage_V", "temperature_degC", "led")
 # Longest wait of a client for an answer.
 ANSWER_S = 10.0
 
@@ -187,17 +190,8 @@ class Controls:
             "joints": [joint.model_dump(include={"name", "limits_deg", "rest_deg"}) for joint in config.joints],
             "gripper": config.gripper and config.gripper.model_dump(include={"joint", "open_deg", "closed_deg"}),
             "servos": [
-                {
-                    "servo_id": servo.servo_id,
-                    "torque_enabled": servo.torque_enabled,
-                    "goal_tick": servo.get(ax12a.GOAL),
-                    "position_tick": servo.position_tick,
-                    "output": servo.output,
-                    "torque_limit": servo.get(ax12a.TORQUE_LIMIT),
-                    "voltage_V": servo.voltage_V,
-                    "temperature_degC": servo.temperature_degC,
-                    "led": servo.led,
-                }
+                named(servo, *SERVO)
+                | {"goal_tick": servo.get(ax12a.GOAL), "torque_limit": servo.get(ax12a.TORQUE_LIMIT)}
                 for servo in self._arm.servos
             ],
         }

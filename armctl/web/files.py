@@ -20,6 +20,7 @@ from armctl.files import data_dir
 from armctl.host.jobs import RecordedRequest
 from armctl.host.jsonrpc import MAX_LINE_BYTES
 from armctl.host.methods import HowToRun, Named, Nothing
+from armctl.json_text import named
 from armctl.kinematics import robots
 from armctl.kinematics.chain import joint_axes, tool_position
 from armctl.recording import search
@@ -110,23 +111,18 @@ class Files:
 
     def arm_(self) -> dict[str, Any]:
         """The arm: its joints with their limits, and where their axes and the tool are at positions 0."""
-        arm, chain, gripper = self.arm, self.robot.chain, self.arm.gripper
+        arm, chain, hand, gripper = self.arm, self.robot.chain, self.arm.gripper, None
+        if hand is not None:
+            ends_rad = {f"{end}_rad": math.radians(getattr(hand, f"{end}_deg")) for end in ("open", "closed")}
+            gripper = {"index": arm.joint_names.index(hand.joint), **ends_rad}
         axes, tool = joint_axes(chain, np.zeros((1, chain.n)))
         return {
-            "arm_id": arm.arm_id,
+            **named(arm, "arm_id", "floor_m", "temperature_limit_degC", "voltage_V"),
             "robot": arm.robot_name,
             "joints": [{"name": joint.name, "limits_rad": joint.limits_rad} for joint in arm.joints],
             "axes": [{"place_m": P[:, 0].tolist(), "direction": Z[:, 0].tolist()} for Z, P in axes],
             "tool_m": tool[:, 0].tolist(),
-            "floor_m": arm.floor_m,
-            "gripper": gripper
-            and {
-                "index": arm.joint_names.index(gripper.joint),
-                "open_rad": math.radians(gripper.open_deg),
-                "closed_rad": math.radians(gripper.closed_deg),
-            },
-            "temperature_limit_degC": arm.temperature_limit_degC,
-            "voltage_V": arm.voltage_V,
+            "gripper": gripper,
             "simulated": self._simulator.exists(),
             "version": __version__,
         }

@@ -10,6 +10,7 @@ from itertools import product
 
 import numpy as np
 
+from armctl.json_text import named
 from armctl.lab.study.case import Case, Found, Row
 
 # A run counts as settled from the generation on whose best cost is within 1 % of its last.
@@ -46,10 +47,9 @@ def run(case: Case) -> Found:
     result = case.optimum()
     best = np.array(result.ga.best_cost_mm)
     row = {
-        **{name: getattr(case.settings, name) for name in VARIED},
+        **named(case.settings, *VARIED),
+        **named(result, "gap_ratio", "feasible"),
         "mean_error_mm": result.ga.path.mean_error_mm,
-        "gap_ratio": result.gap_ratio,
-        "feasible": result.feasible,
         "settled_generation": int(np.argmax(best <= SETTLED_SHARE * best[-1])) + 1,
         "exact_mean_error_mm": result.exact.mean_error_mm,
     }

@@ -66,19 +66,11 @@ def run(case: Case) -> Found:
         # On a simulated arm the real path is the true one.
         before, *after = (errors_mm(run.real_tool_m, line.A, line.B) for run in (paths.before, *paths.runs))
         mean_mm, max_mm = np.array(after).T
-        rows.append(
-            {
-                "via": outcome.via,
-                "without": case.without,
-                "before_mm": before[0],
-                "before_max_mm": before[1],
-                "after_mm": float(mean_mm.mean()),
-                "after_max_mm": float(max_mm.mean()),
-                "spread_mm": float(mean_mm.std()),
-                "ticks_mm": tick_floor_mm(rig, outcome.best, line)[0],
-                "unseen_mm": unseen_mm(rig, outcome.best.plan)["zero_offset_mm"],
-            }
-        )
+        seen = {"before_mm": before[0], "before_max_mm": before[1], "spread_mm": float(mean_mm.std())}
+        seen |= {"after_mm": float(mean_mm.mean()), "after_max_mm": float(max_mm.mean())}
+        seen["ticks_mm"] = tick_floor_mm(rig, outcome.best, line)[0]
+        seen["unseen_mm"] = unseen_mm(rig, outcome.best.plan)["zero_offset_mm"]
+        rows.append({"via": outcome.via, "without": case.without, **seen})
     return Found(rows, shown)
 
 

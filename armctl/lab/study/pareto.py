@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from armctl.json_text import named
 from armctl.kinematics.transform import FloatArray
 from armctl.lab.study import arms
 from armctl.lab.study.case import Case, Found, Row
@@ -29,21 +30,10 @@ def run(case: Case) -> Found:
         RequestRefused: the recordings are unfit.
     """
     result = case.optimum([count for count in case.via if isinstance(count, int)], free=True)
-    return Found(
-        [
-            {
-                "duration_s": case.duration_s,
-                "via": plan.via,
-                "recorded_mean_error_mm": result.ga.path.mean_error_mm,
-                "recorded_max_error_mm": result.ga.path.max_error_mm,
-                "feasible": result.feasible,
-                "gap_ratio": result.gap_ratio,
-                "predicted_mean_error_mm": plan.predicted_mean_error_mm,
-                "predicted_max_error_mm": plan.predicted_max_error_mm,
-            }
-            for plan in result.plans
-        ]
-    )
+    found = {"duration_s": case.duration_s, **named(result, "feasible", "gap_ratio")}
+    found |= {f"recorded_{key}": getattr(result.ga.path, key) for key in ("mean_error_mm", "max_error_mm")}
+    plans = (named(plan, "via", "predicted_mean_error_mm", "predicted_max_error_mm") for plan in result.plans)
+    return Found([found | plan for plan in plans])
 
 
 def judged(rows: Sequence[Row], cases: Sequence[Case], workers: Workers) -> list[Row]:
