@@ -13,14 +13,12 @@ import click
 
 from armctl.cli.output import HOLDS, SOCKET, Output, command, millimetres
 from armctl.cli.parameters import tables
-from armctl.cli.tables import joint_cells, joint_table, show_rows
+from armctl.cli.screen import Screen, filled
+from armctl.cli.tables import joint_cells, show_rows, table_lines
 from armctl.errors import NoDaemon
 from armctl.files import served_socket
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
-    from rich.text import Text
-
     from armctl.client import Client
 
 
@@ -36,7 +34,7 @@ def status_command(output: Output, every: bool) -> None:
         output.answer({"arms": arms}, lines or "no arm is a service of this computer; see `armctl help arm`")
         return
     snapshot = output.ask("status")
-    output.answer(snapshot, lambda: output.console.print(picture(snapshot)))
+    output.answer(snapshot, lambda: output.console.print(*picture(snapshot, output.console)))
 
 
 def _served(output: Output, name: str) -> dict[str, Any]:
@@ -59,11 +57,8 @@ def watch_command(output: Output) -> None:
             for snapshot in snapshots:
                 output.result(snapshot)
         elif output.console.is_terminal:
-            from rich.live import Live
-
-            with Live(console=output.console, auto_refresh=False) as live:
-                for snapshot in snapshots:
-                    live.update(picture(snapshot), refresh=True)
+            for snapshot in snapshots:
+                output.console.draw(picture(snapshot, output.console))
         else:
             for index, snapshot in enumerate(snapshots):
                 if index % max(1, round(1.0 / snapshot["period_s"])) == 0:
@@ -74,56 +69,48 @@ def watch_command(output: Output) -> None:
 BAR = 12
 
 
-def picture(snapshot: dict[str, Any]) -> RenderableType:
-    from rich.console import Group
-    from rich.text import Text
-
-    headings = ("deg/s", "load %", "V", "degC")
-    joints = joint_table("id", "deg", "limits", *headings, "torque", "age s", left=("limits",))
+def picture(snapshot: dict[str, Any], screen: Screen) -> list[str]:
+    """The lines that show a snapshot."""
+    quantities = ("deg/s", "load %", "V", "degC")
+    joints = []
     for joint in snapshot["joints"]:
-        deg, *others = joint_cells(joint, ("deg", *headings))
+        deg, *others = joint_cells(joint, ("deg", *quantities))
         place = "" if joint["position_rad"] is None else _place(joint)
         torque = {None: "-", True: "on", False: "off"}[joint["torque_enabled"]]
         age = "never" if joint["age_s"] is None else f"{joint['age_s']:.2f}"
-        joints.add_row(joint["name"], str(joint["servo_id"]), deg, place, *others, torque, age)
+        joints.append((joint["name"], str(joint["servo_id"]), deg, place, *others, torque, age))
+    columns = ("joint", "id", "deg", "limits", *quantities, "torque", "age s")
     speed_m_s = None if snapshot["tool"] is None else snapshot["tool"]["speed_m_s"]
     limit_m_s = snapshot["tool_speed_limit_m_s"]
     hurried = snapshot["state"] == "teaching" and (speed_m_s or 0.0) > limit_m_s
     warning = f" (keep it below {1000.0 * limit_m_s:.0f})" if hurried else ""
-    parts: list[RenderableType] = [
-        Text(f"{snapshot['arm_id']}: {snapshot['state']}", style="bold red" if snapshot["fault"] else "bold"),
-        joints,
-        Text(f"tool at {_tool(snapshot)}{warning}", style="bold red" if hurried else ""),
-    ]
+    red = {"fg": "red"}
+    lines = screen.wrapped(f"{snapshot['arm_id']}: {snapshot['state']}", bold=True, **red if snapshot["fault"] else {})
+    lines += table_lines(screen, columns, joints, ("joint", "limits"))
+    lines += screen.wrapped(f"tool at {_tool(snapshot)}{warning}", **red if hurried else {})
     if snapshot["progress"] is not None:
-        done = round(snapshot["progress"] * 2 * BAR)
-        parts.append(Text(f"{'━' * done}{'╌' * (2 * BAR - done)} {_progress(snapshot)}"))
+        lines.append(f"{filled(snapshot['progress'], 2 * BAR)} {_progress(snapshot)}")
     if snapshot["recording"]:
-        parts.append(Text(f"recording {snapshot['recording']}"))
-    if snapshot["log"]["problem"]:
-        parts.append(Text(f"logging has stopped: {snapshot['log']['problem']}", style="red"))
+        lines += screen.wrapped(f"recording {snapshot['recording']}")
+    wrong = [f"logging has stopped: {snapshot['log']['problem']}"] * bool(snapshot["log"]["problem"])
     for fault in snapshot["faults"]:
         follows = f" (follows from {fault['follows']})" if fault["follows"] else ""
         card = f"{fault['code']} since {fault['since_s']:.0f} s{follows}: {fault['text']}"
-        parts.append(Text(f"{card}\n  next: {fault['next']}", style="red"))
+        wrong += [card, f"  next: {fault['next']}"]
     if fault := snapshot["fault"]:
-        parts.append(Text(f"the arm: {fault['arm']}", style="red"))
+        wrong.append(f"the arm: {fault['arm']}")
+    lines += screen.wrapped("\n".join(wrong), **red)
     if snapshot["notice"]:
-        parts.append(Text(f"{snapshot['notice']}\n  to hear no more of it: armctl clear", style="yellow"))
-    return Group(*parts)
+        lines += screen.wrapped(f"{snapshot['notice']}\n  to hear no more of it: armctl clear", fg="yellow")
+    return lines
 
 
-def _place(joint: dict[str, Any]) -> Text:
-    """A joint between its limits, as a mark on a bar."""
-    from rich.text import Text
-
+def _place(joint: dict[str, Any]) -> str:
+    """A joint between its limits, as a mark on a bar; another mark beyond them: at a limit it may well rest."""
     low, high = joint["limits_rad"]
-    share = (joint["position_rad"] - low) / (high - low)
+    share: float = (joint["position_rad"] - low) / (high - low)
     at = max(0, min(BAR - 1, math.floor(share * BAR)))
-    text = Text("╌" * at + "●" + "╌" * (BAR - 1 - at))
-    if not 0.0 <= share <= 1.0:  # at a limit it may well rest
-        text.stylize("red", at, at + 1)
-    return text
+    return "╌" * at + ("●" if 0.0 <= share <= 1.0 else "!") + "╌" * (BAR - 1 - at)
 
 
 def _tool(snapshot: dict[str, Any]) -> str:

@@ -5,13 +5,17 @@ from __future__ import annotations
 import inspect
 import json
 import re
+from collections.abc import Iterator
 from pathlib import Path
+from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 import click
 import yaml
 
 from armctl.cli.output import Output, command
+from armctl.cli.screen import Screen
+from armctl.cli.tables import table_lines
 from armctl.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -37,9 +41,39 @@ def help_command(output: Output, topic: str | None) -> None:
         return
     text = page(topic)
     if not output.result({"topic": topic, "text": text}):
-        from rich.markdown import Markdown
+        output.console.print(*shown(text, output.console))
 
-        output.console.print(Markdown(text), width=min(output.console.width, 100))
+
+# Wider lines are hard to read, however wide the screen.
+WIDEST = 100
+# Parts of a page: code; a table; an item or a heading with its mark, or a paragraph.
+PARTS = re.compile(
+    r"^```.*\n((?:.*\n)*?)```\n|((?:^\|.*\n)+)|^( *(?:[-*]|\d+\.) |#+ )?((?:(?!```| *- |\||#).+(?:\n|$))+)",
+    re.MULTILINE,
+)
+# Within a line: what stands for a picture, a link and stressed words.
+WITHIN = (
+    (r"!\[([^]]*)\]\([^)]*\)", r"(picture: \1)"), (r"\[([^]]*)\]\(([^)]*)\)", r"\1 (\2)"), (r"\*+(\w[^*]*)\*+", r"\1"),
+)  # fmt: skip
+
+
+def shown(text: str, screen: Screen) -> Iterator[str]:
+    """The lines in which a page of Markdown is shown: as it is written, wrapped, tables as those of the commands."""
+    width = min(screen.width, WIDEST)
+    for code, table, mark, words in PARTS.findall(text + "\n"):
+        plain = table or " ".join(words.split())
+        for pattern, instead in WITHIN:
+            plain = re.sub(pattern, instead, plain)
+        item = "" if mark.startswith("#") else mark
+        yield from [""] * (not item)
+        if code:
+            yield from (f"  {line}" for line in code.splitlines())
+        elif table:
+            columns, _, *rows = ([cell.strip() for cell in line.split("|")[1:-1]] for line in plain.splitlines())
+            yield from table_lines(screen, columns, rows, columns, width=width)
+        else:
+            lines = wrap(plain, width, initial_indent=item, subsequent_indent=" " * len(item), break_on_hyphens=False)
+            yield from (screen.styled(line, bold=item != mark or None) for line in lines)
 
 
 def page(topic: str) -> str:
@@ -50,9 +84,7 @@ def page(topic: str) -> str:
     """
     if topic not in TOPICS:
         raise ConfigError("armctl help", topic, "no such topic", f"topics: {', '.join(TOPICS)}")
-    if topic in MADE:
-        return MADE[topic]()
-    return (DOCS / f"{topic}.md").read_text(encoding="utf-8")
+    return MADE[topic]() if topic in MADE else (DOCS / f"{topic}.md").read_text(encoding="utf-8")
 
 
 def faults_page() -> str:
@@ -106,9 +138,7 @@ def _kind(about: dict[str, Any]) -> str:
 
 def _default(default: object) -> str:
     """What stands where the key is left out; empty: nothing, or what is told below."""
-    if default in ("", None) or isinstance(default, dict):
-        return ""
-    return f"default {json.dumps(default)}"
+    return "" if default in ("", None) or isinstance(default, dict) else f"default {json.dumps(default)}"
 
 
 def key_comments(model: type) -> dict[str, str]:

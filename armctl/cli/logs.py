@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 from armctl.cli.keys import keys
 from armctl.cli.output import Output, command, kept_option
-from armctl.cli.tables import QUANTITIES, joint_cells, joint_table, number
+from armctl.cli.screen import Screen, filled
+from armctl.cli.tables import QUANTITIES, joint_cells, number, table_lines
 from armctl.errors import ArmctlError
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
-
     from armctl.clock import Clock
     from armctl.recording.player import Player, Wait
     from armctl.recording.replay import ReplayResult
@@ -24,6 +23,8 @@ if TYPE_CHECKING:
 EVENTS_SHOWN = 6
 # Between two lines where there is no terminal.
 LINE_S = 1.0
+# Characters of the bar that shows where the player is.
+BAR = 60
 KEYS_HELP = "space: pause   left, right: 5 s back, forward   + -: rate   l: loop   q: leave"
 
 
@@ -132,39 +133,33 @@ def _watch(
         raise ArmctlError(f"--start {start_s:g}: {timeline.path} lasts {timeline.duration_s:.1f} s; begin earlier")
     player = Player(timeline.duration_s, rate=rate, loop=loop, at_s=start_s)
     if output.console.is_terminal:
-        from rich.live import Live
-
-        with Live(console=output.console, auto_refresh=False) as live:
-            play(player, lambda now: live.update(picture(timeline, now), refresh=True), wait, clock)
+        play(player, lambda now: output.console.draw(picture(timeline, now, output.console)), wait, clock)
     else:
         play(player, lambda now: output.say(line(timeline, now.at_s)), wait, clock, LINE_S)
 
 
-def picture(timeline: Timeline, player: Player) -> RenderableType:
+def picture(timeline: Timeline, player: Player, screen: Screen) -> list[str]:
     """One frame for a terminal: joints, tool, state, fault, and what happened last."""
-    from rich.console import Group
-    from rich.progress_bar import ProgressBar
-    from rich.text import Text
-
     i = timeline.index(player.at_s)
-    joints = joint_table(*QUANTITIES, "torque")
+    joints = []
     for j, name in enumerate(timeline.arm.joint_names):
         read = {quantity: getattr(timeline, quantity)[i, j] for quantity, *_ in QUANTITIES.values()}
-        joints.add_row(name, *joint_cells(read, QUANTITIES), "on" if timeline.torque_enabled[i, j] else "off")
-    fault = timeline.fault(i)
+        joints.append((name, *joint_cells(read, QUANTITIES), "on" if timeline.torque_enabled[i, j] else "off"))
     now_ns = timeline.start_ns + round(player.at_s * 1e9)
-    happened = [event for event in timeline.happenings if event.time_ns <= now_ns][-EVENTS_SHOWN:]
-    mode = "paused" if player.paused else f"{player.rate:g} x"
-    return Group(
-        Text(f"{timeline.arm.arm_id}: {timeline.state(i)}", style="bold red" if fault else "bold"),
-        joints,
-        Text(f"tool at {_tool(timeline, i)}"),
-        *([Text(fault, style="red")] if fault else []),
-        *(Text(f"{(event.time_ns - timeline.start_ns) / 1e9:8.1f} s  {event.text}", style="dim") for event in happened),
-        ProgressBar(total=max(timeline.duration_s, 1e-9), completed=player.at_s, width=60),
-        Text(f"{player.at_s:.1f} of {timeline.duration_s:.1f} s   {mode}{'   loop' if player.loop else ''}"),
-        Text(KEYS_HELP, style="dim"),
-    )
+    known = [event for event in timeline.happenings if event.time_ns <= now_ns][-EVENTS_SHOWN:]
+    happened = [f"{(event.time_ns - timeline.start_ns) / 1e9:8.1f} s  {event.text}" for event in known]
+    mode = ("paused" if player.paused else f"{player.rate:g} x") + "   loop" * player.loop
+    fault = timeline.fault(i)
+    return [
+        *screen.wrapped(f"{timeline.arm.arm_id}: {timeline.state(i)}", bold=True, **{"fg": "red"} if fault else {}),
+        *table_lines(screen, ("joint", *QUANTITIES, "torque"), joints, ("joint",)),
+        *screen.wrapped(f"tool at {_tool(timeline, i)}"),
+        *screen.wrapped(fault, fg="red"),
+        *(line for text in happened for line in screen.wrapped(text, dim=True)),
+        filled(player.at_s / max(timeline.duration_s, 1e-9), BAR),
+        *screen.wrapped(f"{player.at_s:.1f} of {timeline.duration_s:.1f} s   {mode}"),
+        *screen.wrapped(KEYS_HELP, dim=True),
+    ]
 
 
 def line(timeline: Timeline, at_s: float) -> str:

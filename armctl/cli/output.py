@@ -9,8 +9,10 @@ from __future__ import annotations
 import json
 import re
 import sys
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from datetime import timedelta
 from functools import cached_property
 from pathlib import Path
 from threading import Event, Thread
@@ -20,12 +22,11 @@ import click
 
 from armctl.cli.keys import attended
 from armctl.cli.parameters import parameter, parameters, tables
+from armctl.cli.screen import Screen, filled
 from armctl.errors import ArmctlError, ConfigError, LogError, NoDaemon, RequestRefused, UnreachableTarget
 from armctl.files import calibration_dirs, load_arm, load_config, served_socket
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from armctl.client import Client
     from armctl.config import ArmConfig, Config
 
@@ -44,8 +45,8 @@ class Output:
         self.json = False
         # What a Ctrl-C leaves behind, said when it comes.
         self.after_interrupt = ""
-        # What stands at the terminal's end, see `live`.
-        self._lived = ""
+        # Where answers for people go, and everything else.
+        self.console, self.messages = Screen(), Screen(error=True)
         # The daemon that was named; None: the usual one.
         self.socket: str | None = None
         self.config_file: str | None = None
@@ -53,20 +54,6 @@ class Output:
         self.port: str | None = None
         self.baud: int | None = None
         self.link: Path | None = None
-
-    @cached_property
-    def console(self) -> Console:
-        """Where answers for people go. Imported with the first of them: it takes as long as the rest of a command."""
-        from rich.console import Console
-
-        return Console(emoji=False)
-
-    @cached_property
-    def messages(self) -> Console:
-        """Where everything else goes."""
-        from rich.console import Console
-
-        return Console(stderr=True, emoji=False)
 
     def client(self, socket: str | None = None, **options: Any) -> Client:
         """A connection to the daemon that was named."""
@@ -157,19 +144,17 @@ class Output:
 
     def live(self, text: str) -> None:
         """A line that stands at the end of the terminal until anything else is said, where a person looks at it."""
-        if text != self._lived and self.messages.is_terminal and attended(sys.stdin):
-            self._lived = text
-            self.messages.file.write(f"\r\x1b[K{text}"[: self.messages.width + 4])
-            self.messages.file.flush()
+        if attended(sys.stdin):
+            self.messages.stand(text)
 
     def say(self, text: str) -> None:
         """A message for a person; never on stdout when JSON was asked for."""
-        self.live("")
-        (self.messages if self.json else self.console).print(text, markup=False, highlight=False, soft_wrap=True)
+        self.messages.print()  # what stands there goes
+        (self.messages if self.json else self.console).print(text)
 
     def warn(self, text: str) -> None:
         """A message for a person, on stderr whatever was asked for."""
-        self.messages.print(text, markup=False, highlight=False, soft_wrap=True)
+        self.messages.print(text)
 
     def warned(self, told: dict[str, Any]) -> None:
         """What the daemon tells while it carries a request out: a warning, or a step of a program."""
@@ -202,20 +187,18 @@ class Output:
 
         Yields a function of (done, text); the text may be left out.
         """
-        from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+        began_s = time.monotonic()
+
+        def bar(done: float, note: str = "") -> str:  # within 80 columns
+            share = min(1.0, done / total)
+            left = timedelta(seconds=round((time.monotonic() - began_s) * (1.0 / share - 1.0))) if share else "-:--:--"
+            return f"{label:<24} {filled(share, 20)} {left} {note}"
 
         if not self.messages.is_terminal:
             self.warn(f"{label} ...")
-        words, note = TextColumn("{task.description:<24}"), TextColumn("{task.fields[note]}")
-        columns = (words, BarColumn(20), TimeRemainingColumn(), note)  # within 80 columns
-        with Progress(*columns, console=self.messages, disable=not self.messages.is_terminal) as bars:
-            bar = bars.add_task(label, total=total, note="")
-
-            def show(done: float, note: str = "") -> None:
-                bars.update(bar, completed=done, note=note)
-
-            yield show
-            bars.update(bar, completed=total)
+        yield lambda done, note="": self.messages.stand(bar(done, note))
+        if self.messages.is_terminal:
+            self.warn(bar(total).rstrip())
 
 
 def millimetres(point_m: Iterable[float]) -> str:

@@ -239,8 +239,8 @@ def show_checks(output: Output, checks: Sequence[Check]) -> None:
         ids += [] if check.servo_id is None else [str(check.servo_id)]
 
     def say(text: str, indent: int) -> None:
-        lines = textwrap.fill(text, output.console.width, subsequent_indent=" " * indent, break_on_hyphens=False)
-        output.console.print(lines, markup=False, highlight=False)
+        width = output.console.width
+        output.console.print(*textwrap.wrap(text, width, subsequent_indent=" " * indent, break_on_hyphens=False))
 
     for (bad, name, value, fix), ids in sorted(servo_ids.items(), key=lambda item: item[0][:2]):
         where = f"  (servo {', '.join(ids)})" if ids else ""

@@ -16,14 +16,11 @@ from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from rich.console import Console
-    from rich.table import Table
+    from armctl.cli.screen import Screen
 
 Row = Mapping[str, Any]
 # What stands in the tables that are made from rows of data, by their names.
 TABLES = Path(__file__).with_name("tables.yaml")
-# Of a joint, in a picture.
-WIDEST_NAME = 14
 # What a picture tells of a joint, by the heading: the quantity, what it is multiplied by, and digits.
 QUANTITIES = {
     "deg": ("position_rad", math.degrees(1.0), 1),
@@ -38,35 +35,39 @@ GAPS = (3, 2, 1)
 
 
 def show_table(
-    console: Console, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], words: Collection[str] = ()
+    screen: Screen, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], words: Collection[str] = ()
 ) -> None:
-    """Print a table.
+    """Print a table, see `table_lines`."""
+    screen.print(*screen.wrapped(title, italic=True), *table_lines(screen, columns, rows, words))
+
+
+def table_lines(
+    screen: Screen,
+    columns: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    words: Collection[str] = (),
+    *,
+    width: int | None = None,
+) -> list[str]:
+    """The lines of a table.
 
     Args:
         columns: Headings from the left.
-        rows: A cell a column; markup in it is plain text, and what would steer the terminal a blank.
+        rows: A cell a column; what would steer the terminal is a blank.
         words: Headings of the columns whose cells are words, set from the left; in the others stand figures.
+        width: Characters of a line; None: the screen's.
     """
     cells = [[column, *(_plain(row[i]) for row in rows)] for i, column in enumerate(columns)]
     worded = [column in words for column in columns]
-    gap, widths = layout(cells, worded, console.width)
+    gap, widths = layout(cells, worded, width or screen.width)
     line = (" " * gap).join(f"{{:{'<' if word else '>'}{width}}}" for word, width in zip(worded, widths, strict=True))
     heading, *lines = (_lines(row, widths, line) for row in zip(*cells, strict=True))
-    if title:
-        console.print(title, style="italic", markup=False, highlight=False)
-    console.out(_shown("\n".join(heading), console), style="bold", highlight=False)
-    rule = ("─" if console.encoding.startswith("utf") else "-") * (sum(widths) + gap * (len(widths) - 1))
-    # Not through the library, which takes ten times as long for ten thousand logs.
-    console.file.write(_shown("\n".join([rule, *chain.from_iterable(lines), ""]), console))
+    rule = "─" * (sum(widths) + gap * (len(widths) - 1))
+    return [*(screen.styled(part, bold=True) for part in heading), rule, *chain.from_iterable(lines)]
 
 
 def _plain(cell: str) -> str:
     return cell if cell.isprintable() else "".join(c if c.isprintable() else " " for c in cell)
-
-
-def _shown(text: str, console: Console) -> str:
-    """What the terminal has no letter for is a question mark."""
-    return text.encode(console.encoding, "replace").decode(console.encoding)
 
 
 def _lines(row: Sequence[str], widths: Sequence[int], line: str) -> list[str]:
@@ -81,11 +82,11 @@ def _lines(row: Sequence[str], widths: Sequence[int], line: str) -> list[str]:
     return [line.format(*cells).rstrip() for cells in zip_longest(*parts, fillvalue="")]
 
 
-def show_rows(console: Console, table: str, title: str, rows: Iterable[Row]) -> None:
+def show_rows(screen: Screen, table: str, title: str, rows: Iterable[Row]) -> None:
     """Print one of `tables.yaml` with a line for each row of data."""
     about = _table(table)
     cells = [[_filled(row, *cell) for _, *cell in about["columns"]] for row in rows]
-    show_table(console, title, [heading for heading, *_ in about["columns"]], cells, about.get("words", ()))
+    show_table(screen, title, [heading for heading, *_ in about["columns"]], cells, about.get("words", ()))
 
 
 def below(table: str, told: Row) -> str:
@@ -108,21 +109,6 @@ def _filled(row: Row, template: str, needed: str | None = None, otherwise: str =
     return template.format_map(row)
 
 
-def joint_table(*columns: str, left: Collection[str] = ()) -> Table:
-    """A table with a line for each joint, for a picture that is drawn again and again.
-
-    Args:
-        left: Columns that are set from the left.
-    """
-    from rich.table import Table
-
-    joints = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))
-    joints.add_column("joint", overflow="fold", max_width=WIDEST_NAME)
-    for column in columns:
-        joints.add_column(column, justify="left" if column in left else "right", no_wrap=True, overflow="fold")
-    return joints
-
-
 def joint_cells(read: Row, headings: Iterable[str]) -> list[str]:
     """What is told of a joint below some headings of `QUANTITIES`."""
     quantities = (QUANTITIES[heading] for heading in headings)
@@ -142,24 +128,14 @@ def layout(cells: Sequence[Sequence[str]], worded: Sequence[bool], total: int) -
         worded: Which columns are words.
         total: Characters of a line.
     """
-    wanted = [max(map(len, column)) for column in cells]
-    if sum(wanted) + GAPS[0] * (len(cells) - 1) <= total:
-        return GAPS[0], wanted
+    widths = [max(map(len, column)) for column in cells]
     words = [max((len(word) for cell in column for word in cell.split()), default=0) for column in cells]
-    least = [word if may_wrap else want for word, may_wrap, want in zip(words, worded, wanted, strict=True)]
-    for gap in GAPS:
-        left = total - gap * (len(cells) - 1) - sum(least)
-        if left >= 0:
-            return gap, _spread(least, wanted, left)
-    left += sum(least) - sum(words)
-    if left < 0:  # a very long word gives way
-        longest = words.index(max(words))
-        words[longest] = max(1, words[longest] + left)
-    return gap, _spread(words, wanted, max(0, left))
-
-
-def _spread(least: Sequence[int], wanted: Sequence[int], left: int) -> list[int]:
-    """What is left of the line goes to the columns that want more, each in its proportion."""
-    more = [max(0, want - need) for want, need in zip(wanted, least, strict=True)]
-    share = min(1.0, left / max(1, sum(more)))
-    return [need + int(share * extra) for need, extra in zip(least, more, strict=True)]
+    least = [word if may_wrap else width for word, may_wrap, width in zip(words, worded, widths, strict=True)]
+    gaps = {gap: total - gap * (len(cells) - 1) for gap in GAPS}
+    if sum(widths) <= gaps[GAPS[0]]:
+        return GAPS[0], widths
+    gap, room = next(((gap, room) for gap, room in gaps.items() if sum(least) <= room), (GAPS[-1], gaps[GAPS[-1]]))
+    for floor in (least, words, [1] * len(cells)):  # what has to give way, in this order; the widest does first
+        while sum(widths) > room and (wide := [i for i, width in enumerate(widths) if width > floor[i]]):
+            widths[max(wide, key=widths.__getitem__)] -= 1
+    return gap, widths

@@ -1,3 +1,5 @@
+import io
+import re
 from collections import Counter
 
 import click
@@ -5,7 +7,8 @@ import pytest
 from pydantic import BaseModel
 
 from armctl.cli import cli
-from armctl.cli.help import TOPICS, key_comments
+from armctl.cli.help import TOPICS, key_comments, page, shown
+from armctl.cli.screen import Screen
 from armctl.config import (
     ArmConfig,
     ChainRow,
@@ -29,6 +32,24 @@ def test_help_lists_its_topics(typed: Typed) -> None:
 def test_every_topic_is_explained(topic: str, typed: Typed, answer: Answer) -> None:
     assert answer("help", topic)["text"].startswith("# ")
     assert len(typed("help", topic).out) > 300
+
+
+@pytest.mark.parametrize("topic", TOPICS)
+def test_a_page_is_shown_whole_and_fits(topic: str) -> None:
+    """Every word stands there in its order, every line of code as it is to be typed; no mark of Markdown is left."""
+    text = page(topic)
+    lines = list(shown(text, Screen(file=io.StringIO(), columns=80)))
+    parts = re.findall(r"^```.*\n((?:.*\n)*?)```", text, re.MULTILINE)
+    code = [f"  {line}" for part in parts for line in part.splitlines()]
+    assert max(map(len, lines)) <= 80
+    places = iter(lines)
+    assert all(line in places for line in code)
+    assert not [line for line in lines if line not in code and re.search(r"```|\|-|^#|\*\*\w.*\*\*|\]\(", line)]
+    prose = re.sub(r"^```.*|(?<=\])\([^)]*\)|^\|[^`\n]*\|-", "", text, flags=re.MULTILINE)
+    words = re.findall(r"\w+", re.sub(r"^\|.*", "", prose, flags=re.MULTILINE))
+    said = iter(re.findall(r"\w+", "\n".join(lines)))
+    assert all(word in said for word in words)
+    assert set(re.findall(r"\w+", prose)) <= set(re.findall(r"\w+", "\n".join(lines)))
 
 
 def test_an_option_that_is_kept_has_a_name_of_its_own() -> None:

@@ -14,17 +14,18 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from rich.console import Console
 
 from armctl import __version__
 from armctl.cli import logs
 from armctl.cli.keys import keys
 from armctl.cli.output import Output
+from armctl.cli.screen import Screen
 from armctl.clock import VirtualClock
 from armctl.messages import Event
 from armctl.recording import index, provenance, reader, timeline
 from armctl.recording.player import Player
 from tests.cli.conftest import Answer, Typed
+from tests.cli.test_screen import Terminal
 from tests.recording.factory import CONTEXT, make_records
 from tests.recording.logs import of_an_older_build
 from tests.recording.logs import write as write_log
@@ -54,7 +55,7 @@ def test_a_folder_that_is_known_is_asked_without_what_reads_logs(
     command = [sys.executable, "-c", asked, "log", *words, "--log-dir", str(tmp_path), "--json"]
     found, modules = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
     assert json.loads(found) == told
-    assert not {"numpy", "pydantic", "mcap", "yaml", "rich", "multiprocessing"} & set(json.loads(modules))
+    assert not {"numpy", "pydantic", "mcap", "yaml", "multiprocessing"} & set(json.loads(modules))
 
 
 def test_an_answer_says_how_many_logs_it_lacks(
@@ -152,8 +153,8 @@ def test_replay_writes_a_report_and_says_where(log: Path, tmp_path: Path, answer
 
 
 def watched(log: Path, *, terminal: bool, rate: float = 1.0, start_s: float = 0.0) -> str:
-    output, screen, clock = Output(), io.StringIO(), VirtualClock()
-    output.console = Console(file=screen, force_terminal=terminal, width=120, height=40)
+    output, screen, clock = Output(), Terminal() if terminal else io.StringIO(), VirtualClock()
+    output.console = Screen(file=screen, columns=120)
     logs._watch(output, timeline.load(log), waiting(clock), clock, rate=rate, start_s=start_s, loop=False)
     return screen.getvalue()
 
@@ -173,11 +174,10 @@ def test_in_a_terminal_every_joint_and_the_events_are_shown(log: Path) -> None:
 
 def test_what_is_shown_is_what_the_log_says(log: Path) -> None:
     found = timeline.load(log)
-    console = Console(record=True, file=io.StringIO(), width=120)
-    console.print(logs.picture(found, Player(found.duration_s, at_s=2.5)))
+    picture = logs.picture(found, Player(found.duration_s, at_s=2.5), Screen(file=io.StringIO(), columns=120))
     frame = found.index(2.5)
     angles = [f"{math.degrees(value):.1f}" for value in found.position_rad[frame]]
-    assert not missing(console.export_text(), found.state(frame), *angles, f"{found.tool[frame, 0] * 1000.0:.1f}")
+    assert not missing("\n".join(picture), found.state(frame), *angles, f"{found.tool[frame, 0] * 1000.0:.1f}")
 
 
 def test_beginning_beyond_the_end_is_one_clear_sentence(log: Path, typed: Typed) -> None:

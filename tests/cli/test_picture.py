@@ -4,9 +4,8 @@ import io
 import math
 from typing import Any
 
-from rich.console import Console
-
 from armctl.cli.arm import BAR, _line, _place, picture
+from armctl.cli.screen import Screen
 from tests.cli.test_tables import LONGEST_NAME, assert_whole
 from tests.words import missing
 
@@ -34,9 +33,7 @@ HOT = {**FAULT, "code": "HOT", "next": "let it cool", "text": "66 degC", "follow
 
 
 def _text(snapshot: dict[str, Any]) -> str:
-    console = Console(width=80, record=True, file=io.StringIO())
-    console.print(picture(snapshot))
-    return console.export_text()
+    return "\n".join(picture(snapshot, Screen(file=io.StringIO(), columns=80)))
 
 
 def test_the_picture_shows_the_tool_s_speed_and_warns_a_teaching_hand_only() -> None:
@@ -56,17 +53,15 @@ def test_the_picture_of_a_snapshot_shows_the_fault_card() -> None:
     assert not missing(text, "28.6", "never", *faults, "recording line-1", "unknown")
 
 
-def test_a_joint_is_shown_between_its_limits_and_red_beyond_them_alone() -> None:
+def test_a_joint_is_shown_between_its_limits_and_by_another_mark_beyond_them() -> None:
     """A parked arm rests near them."""
 
-    def place(position_rad: float) -> tuple[int, bool]:
-        shown = _place({"position_rad": position_rad, "limits_rad": (-1.0, 1.0)})
-        assert len(shown.plain) == BAR
-        return shown.plain.index("●"), bool(shown.spans)
+    def place(position_rad: float) -> str:
+        return _place({"position_rad": position_rad, "limits_rad": (-1.0, 1.0)})
 
-    assert (place(-1.2), place(-1.0)) == ((0, True), (0, False))
-    assert place(0.0) == (BAR // 2, False)
-    assert (place(1.0), place(1.2)) == ((BAR - 1, False), (BAR - 1, True))
+    assert (place(-1.2), place(-1.0)) == ("!" + "╌" * (BAR - 1), "●" + "╌" * (BAR - 1))
+    assert place(0.0).index("●") == BAR // 2
+    assert (place(1.0), place(1.2)) == ("╌" * (BAR - 1) + "●", "╌" * (BAR - 1) + "!")
 
 
 def test_the_longest_picture_fits_80_columns() -> None:
@@ -78,7 +73,7 @@ def test_the_longest_picture_fits_80_columns() -> None:
     faults = [{**FAULT, "code": "EEPROM_MISMATCH", "text": "servo 253: " + "a sentence of many words " * 5}]
     moving = _snapshot(state="energising", joints=[wide] * 6 + [silent], tool=tool, progress=1.0, rate=0.5)
     shown = {**moving, "arm_id": LONGEST_NAME, "recording": LONGEST_NAME, "log": log, "fault": FAULT, "faults": faults}
-    text = assert_whole(lambda output: output.console.print(picture(shown)))
+    text = assert_whole(lambda output: output.console.print(*picture(shown, output.console)))
     assert text.count("-149.0") == 6
     assert not missing(text, "●╌", "EEPROM_MISMATCH")
 

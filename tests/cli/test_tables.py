@@ -12,10 +12,10 @@ import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
-from rich.console import Console
 
 from armctl.cli import calibrate, demo, experiment, jobs, log, logs, reproduce, servo, setup, study
 from armctl.cli.output import Output
+from armctl.cli.screen import Screen
 from armctl.cli.tables import show_rows, show_table
 from armctl.commissioning.calibration import Fit, Parameter
 from armctl.commissioning.doctor import Check
@@ -48,7 +48,7 @@ class Tables(Output):
 def printed(show: Callable[[Output], object], width: int = COLUMNS) -> str:
     """The tables that a person sees on a terminal of so many columns."""
     output, screen = Tables(), io.StringIO()
-    output.console = Console(file=screen, width=width, color_system=None)
+    output.console = Screen(file=screen, columns=width)
     show(output)
     return screen.getvalue()
 
@@ -111,7 +111,7 @@ def test_all_that_a_demonstration_says_fits_80_columns_with_no_pair_of_figures_b
     row |= {"predicted_mean_error_mm": 20.94, "predicted_max_error_mm": 39.24}
     rows = [{**row, "via": via, "corrected": corrected} for corrected in (False, True) for via in (0, 1, 2)]
     output, screen = Output(), io.StringIO()
-    output.console = Console(file=screen, width=COLUMNS, color_system=None)
+    output.console = Screen(file=screen, columns=COLUMNS)
     demo.show(output, {**told, "rows": rows, "refined": rows[4:]})
     lines = screen.getvalue().splitlines()
     assert max(len(line) for line in lines) <= COLUMNS, "\n".join(lines)
@@ -122,7 +122,8 @@ def test_all_that_a_demonstration_says_fits_80_columns_with_no_pair_of_figures_b
 
 def test_the_picture_of_a_replay_fits(tmp_path: Path) -> None:
     log = timeline.load(write_log(tmp_path / "a.mcap", make_records(60, seed=3)))
-    assert_whole(lambda output: output.console.print(logs.picture(log, Player(log.duration_s, at_s=0.5))))
+    player = Player(log.duration_s, at_s=0.5)
+    assert_whole(lambda output: output.console.print(*logs.picture(log, player, output.console)))
 
 
 @pytest.mark.parametrize("robot", ["puma560", "transfer-6dof", "ax12-line", "xiang-6dof", "lanzhou-4dof"])
@@ -166,7 +167,7 @@ def test_a_cell_that_does_not_fit_goes_on_below_itself() -> None:
 @pytest.mark.parametrize("encoding", ["utf-8", "latin-1", "ascii"])
 def test_a_table_is_shown_on_a_terminal_of_any_encoding_and_steers_none(encoding: str) -> None:
     screen = io.BytesIO()
-    console = Console(file=io.TextIOWrapper(screen, encoding), width=COLUMNS, color_system=None)
+    console = Screen(file=io.TextIOWrapper(screen, encoding), columns=COLUMNS)
     show_table(console, "", ("name", "°C"), [("a\x1b[2Jb\nc", "30"), ("Ω", "31")], ("name",))
     console.file.flush()
     shown = screen.getvalue().decode(encoding)
