@@ -196,6 +196,7 @@ class Output:
 
         if not self.messages.is_terminal:
             self.warn(f"{label} ...")
+        self.messages.stand(bar(0.0))
         yield lambda done, note="": self.messages.stand(bar(done, note))
         if self.messages.is_terminal:
             self.warn(bar(total).rstrip())

@@ -17,7 +17,7 @@ COLUMNS = 80
 # What bars, marks and rules are made of where there are few letters.
 PLAIN = str.maketrans("━╌●─", "#-o-")
 # Between two lines that stand in one place, seconds: a terminal takes longer to draw them than most work to go on.
-REDRAWN_S = 0.1
+REDRAWN_S = 0.05
 
 
 class Screen:
