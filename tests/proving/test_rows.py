@@ -339,6 +339,19 @@ def test_a_servo_in_whose_name_another_one_answers_is_not_silent(kind: str, brok
     assert bench.broken & {"rows"} == broken
 
 
+@pytest.mark.parametrize(("kinds", "broken"), [(("lost", "same_id"), set()), (("same_id",), {"2"}), (("lost",), {"2"})])
+def test_2_where_a_servo_is_in_whose_name_another_one_answers_nobody_can_tell(
+    kinds: tuple[str, ...], broken: set[str]
+) -> None:
+    bench = Bench()
+    for kind in kinds:
+        bench.plan(kind, 3.0)
+    bench.tick(Mode.HOLDING)
+    bench.at(MIDDLE + 60)
+    bench.ticks(2, Mode.HOLDING)
+    assert bench.broken & {"2"} == broken
+
+
 @pytest.mark.parametrize(
     ("code", "broken"),
     [

@@ -276,6 +276,15 @@ class Duties:
             for begin_s, end_s, fault in (*self._faults, *self._planned)
         )
 
+    def replaced(self, now_s: float, i: int) -> bool:
+        """Whether another servo answers in the name of one that does not: whose position it is, nobody can tell."""
+        struck = {
+            fault.kind
+            for begin_s, end_s, fault in (*self._faults, *self._planned)
+            if begin_s <= now_s < end_s + RECOVERING_S and self._arm.one_joint(i, fault.servo_id)
+        }
+        return "same_id" in struck and not SILENCES.isdisjoint(struck)
+
     def tick(self, last_s: float, now_s: float, servos: Sequence[Servo], known: Known) -> None:
         """Time has passed, from `last_s`; faults begin and end."""
         gap_s = now_s - last_s - self._period_s

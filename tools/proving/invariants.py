@@ -383,7 +383,8 @@ class Judge(TorqueJudge):
             begins = self._adopting or self._mode == STARTING
             waits = not self._in_charge or (begins and self._duties.lately(now_s, GARBLES))
             weak = self._is_weak(i, servo) and (bool(self._codes) or waits)
-            if away > LEAD_TICKS and not weak and not self._duties.excused(now_s, i):
+            unknown = self._duties.excused(now_s, i) or self._duties.replaced(now_s, i)
+            if away > LEAD_TICKS and not weak and not unknown:
                 # One that kept its torque while the others lost theirs cannot hold the arm.
                 rule = "limp" if self._mode in LIMP or self._code == "NOT_LIMP" else "2"
                 self._violate(rule, now_s, i, f"{away * TICK_DEG:.1f} deg from its goal (bound 12)")
