@@ -390,7 +390,7 @@ class Judge(TorqueJudge):
                 self._violate(rule, now_s, i, f"{away * TICK_DEG:.1f} deg from its goal (bound 12)")
             if before:
                 self._watch_strain(now_s, i, min(abs(before[i].goal - at) for at in (servo.sensed_tick, self._told[i])))
-            if i in self._enabled:
+            if i in self._enabled and not unknown:
                 self._watch_jump(now_s, i, servo)
         if before and gap_s <= 0.05:
             if not self._settling():
