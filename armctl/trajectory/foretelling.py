@@ -39,10 +39,13 @@ LIKELY = (
 SERVO_SHARE, TOOL_SHARE, SHARE_STEP = 0.09, 0.15, 0.02
 # Stretches that are close to one another, and the same wrong equations, tell less than so many.
 SPOILS = 20.0
-# Rounds at most, the change in standard deviations after which there is none more, the longest way of one in steps;
-# the deviations of what is foretold [tick, rad/s, share of full output], and from how many on one counts less. They are
-# not taken from what is left: where all is wrong nothing would count.
+# Rounds at most, the change in standard deviations after which there is none more, the longest way of one in steps; the
+# deviations of what is foretold [tick, rad/s, share of full output], and from how many on one counts less. They are not
+# taken from what is left: where all is wrong nothing would count.
 ROUNDS, DONE, LEAP, OFF, FAR = 20, 0.1, 15.0, ((0.3,), (0.02,), (0.01,)), 2.0
+# Whole ticks leave leaps, about which the last rounds go to and fro: the mean of these counts. Derivatives take most of
+# the time; after the first rounds one serves several.
+LAST, FIRST, SERVES = 10, 3, 4
 
 
 class Motor(NamedTuple):
@@ -170,23 +173,32 @@ def fit(guess: Guess, seen: Mapping[int, Stretches]) -> tuple[FloatArray, FloatA
     step = np.concatenate([[SHARE_STEP] * n, np.tile([one for _, _, one in LIKELY], len(guess.stall_Nm))])
     theta: FloatArray = np.zeros(len(prior))
     cov: FloatArray = np.diag(prior**2)
-    for _ in range(ROUNDS):
+    slopes: dict[int, FloatArray] = {}
+    way = []
+    for count in range(ROUNDS):
+        if count < FIRST or count % SERVES == 0:
+            slopes.clear()
         bend, lean = np.diag(prior**-2), theta * prior**-2
-        for own, J, r in _slopes(guess, seen, theta, step):
+        for own, J, r in _slopes(guess, seen, theta, step, slopes):
             bend[np.ix_(own, own)] += J @ J.T / SPOILS
             lean[own] += J @ r / SPOILS
         cov = np.asarray(np.linalg.inv(bend))
         change = -cov @ lean
         theta = theta + np.clip(change, -LEAP * step, LEAP * step)
         if np.abs(change / np.sqrt(np.diag(cov))).max() < DONE:
-            break
-    return theta, cov
+            return theta, cov
+        way.append(theta)
+    return np.mean(way[-LAST:], axis=0), cov
 
 
 def _slopes(
-    guess: Guess, seen: Mapping[int, Stretches], theta: FloatArray, step: FloatArray
+    guess: Guess, seen: Mapping[int, Stretches], theta: FloatArray, step: FloatArray, slopes: dict[int, FloatArray]
 ) -> Iterator[tuple[NDArray[np.int64], FloatArray, FloatArray]]:
-    """Of each joint that was seen: which numbers count, the derivatives, and what is left, in standard deviations."""
+    """Of each joint that was seen: which numbers count, the derivatives, and what is left, in standard deviations.
+
+    Args:
+        slopes: Those of the joints that are made already.
+    """
     n = len(guess.kg)
     for h, one in seen.items():
 
@@ -198,6 +210,7 @@ def _slopes(
         own = np.unique(np.r_[np.flatnonzero(felt[0]), zeros, n + len(LIKELY) * h + np.arange(8)])
         r = np.mean([left(theta, place) for place in PLACES], axis=0)
         weight = 1.0 / np.sqrt(np.maximum(1.0, np.abs(r) / np.multiply(FAR, OFF))) / OFF
-        moved = np.eye(len(theta))[own] * step
-        J = [weight * (left(theta + d) - left(theta - d)) / (2.0 * d.max()) for d in moved]
-        yield own, np.array(J).reshape(len(own), -1), (weight * r).ravel()
+        if h not in slopes:
+            here = left(theta)
+            slopes[h] = np.array([(left(theta + d) - here) / d.max() for d in np.eye(len(theta))[own] * step])
+        yield own, (weight * slopes[h]).reshape(len(own), -1), (weight * r).ravel()
