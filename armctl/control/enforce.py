@@ -11,7 +11,7 @@ Rules.
    same way. Only one that goes on writing for `YIELD_NS` is given way to, until `clear`.
 4. A servo that was led off by more than `LED_OFF_TICKS` is not brought back: its goal becomes where it is. Two readings
    in a row have to say so, on a line that is well, with no reply damaged or missing beside them: one may be another
-   servo's. Until then nothing is sent to it.
+   servo's. A line that was too noisy is well again after `QUIET_S` without a damaged reply. Until then nothing is sent.
 5. While the port is gone anybody may move the arm. Then armctl has no say in it any more, until it takes it over again.
 """
 
@@ -27,6 +27,7 @@ LIMP_NS = 500_000_000
 YIELD_NS = 1_000_000_000
 # After so long without a goal from elsewhere the next one is another story.
 CALM_NS = 1_000_000_000
+QUIET_S = 0.5
 # How fast it is brought back from less: as slowly as to rest.
 BACK_UNITS = ax12a.moving_speed_units(math.radians(20.0))
 # A goal this near to the shaft asks for no way.
@@ -102,7 +103,7 @@ def hold_goals(s: Tick) -> None:
         s.latch_servo("OVERRULED", foreign[0], "another program goes on writing goals; the arm is left to it")
         return
     led_off = [i for i in owed if s.is_led_off(i)]
-    well = s.fresh and "BUS_NOISE" not in s.found
+    well = s.fresh and ("BUS_NOISE" not in s.found or not any(state.noise[-s.ticks_in(QUIET_S) :]))
     unsure = set(led_off).difference(state.led_off if well else ())
     for i in set(led_off).difference(unsure):
         stay(s, i)

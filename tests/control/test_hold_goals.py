@@ -171,6 +171,8 @@ def test_what_seems_led_off_on_a_noisy_line_is_told_nothing() -> None:
     outputs = arm.run_ticks(3)
     assert (outputs.goal, outputs.writes, arm.state.goal) == (None, (), ours)
     assert "OTHER_WRITER" in arm.events
+    arm.run_ticks(4)  # nothing has come damaged for half a second
+    assert arm.state.goal[0] == ours[0] + 230
 
 
 def test_what_seems_led_off_while_other_replies_come_damaged_is_told_nothing() -> None:
