@@ -12,8 +12,6 @@ allocator keeps (invariant 14).
 
 from __future__ import annotations
 
-import contextlib
-import ctypes
 import gc
 import logging
 import math
@@ -236,9 +234,6 @@ def _watch_process(tally: Tally, episode: int) -> None:
 
 
 def _memory_mib() -> float:
-    """What this process holds, less what its allocator has free and keeps (glibc gives that back when it is asked)."""
-    with contextlib.suppress(AttributeError):
-        ctypes.CDLL(None).malloc_trim(0)
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
     return pages * resource.getpagesize() / 2**20
 
