@@ -193,6 +193,23 @@ def test_3_a_joint_that_turns_to_its_goal_at_torque_on_jumps_and_one_that_turns_
     assert limp.broken == broken
 
 
+@pytest.mark.parametrize(
+    ("kinds", "broken"),
+    [((), {"3"}), (("same_id",), {"3"}), (("lost",), {"3"}), (("lost", "same_id"), set())],
+)
+def test_3_a_jump_at_torque_on_is_excused_only_where_another_servo_answers(
+    kinds: tuple[str, ...], broken: set[str], limp: Bench
+) -> None:
+    for kind in kinds:
+        limp.plan(kind, 3.0)
+    limp.ask("torque_on")
+    limp.goal(MIDDLE, torque=True)
+    limp.servos[0].goal = MIDDLE + 9
+    limp.at(MIDDLE + 8.0)
+    limp.tick()
+    assert limp.broken & {"3"} == broken
+
+
 def test_4_torque_comes_on_and_nobody_asked(limp: Bench) -> None:
     limp.goal(MIDDLE, torque=True)
     assert limp.broken == {"4"}

@@ -339,13 +339,21 @@ def test_a_servo_in_whose_name_another_one_answers_is_not_silent(kind: str, brok
     assert bench.broken & {"rows"} == broken
 
 
-@pytest.mark.parametrize(("kinds", "broken"), [(("lost", "same_id"), set()), (("same_id",), {"2"}), (("lost",), {"2"})])
+@pytest.mark.parametrize(
+    ("kinds", "after_s", "broken"),
+    [
+        (("lost", "same_id"), 0.0, set()),
+        (("lost", "same_id"), 0.3, {"2"}),  # one is over before the other begins
+        (("same_id",), 0.0, {"2"}),
+        (("lost",), 0.0, {"2"}),
+    ],
+)
 def test_2_where_a_servo_is_in_whose_name_another_one_answers_nobody_can_tell(
-    kinds: tuple[str, ...], broken: set[str]
+    kinds: tuple[str, ...], after_s: float, broken: set[str]
 ) -> None:
     bench = Bench()
-    for kind in kinds:
-        bench.plan(kind, 3.0)
+    for k, kind in enumerate(kinds):
+        bench.plan(kind, 0.25 if after_s else 3.0, in_s=k * after_s)
     bench.tick(Mode.HOLDING)
     bench.at(MIDDLE + 60)
     bench.ticks(2, Mode.HOLDING)

@@ -278,12 +278,15 @@ class Duties:
 
     def replaced(self, now_s: float, i: int) -> bool:
         """Whether another servo answers in the name of one that does not: whose position it is, nobody can tell."""
-        struck = {
-            fault.kind
-            for begin_s, end_s, fault in (*self._faults, *self._planned)
-            if begin_s <= now_s < end_s + RECOVERING_S and self._arm.one_joint(i, fault.servo_id)
-        }
-        return "same_id" in struck and not SILENCES.isdisjoint(struck)
+        here = [one for one in (*self._faults, *self._planned) if self._arm.one_joint(i, one[2].servo_id)]
+        others = [(begin_s, end_s) for begin_s, end_s, fault in here if fault.kind == "same_id"]
+        silent = [
+            (begin_s, end_s)
+            for begin_s, end_s, fault in here
+            if fault.kind in SILENCES and fault.probability == 1.0 and fault.count is None
+        ]
+        both = [(max(a, c), min(b, d)) for a, b in others for c, d in silent]
+        return any(begin_s < end_s and begin_s <= now_s < end_s + RECOVERING_S for begin_s, end_s in both)
 
     def tick(self, last_s: float, now_s: float, servos: Sequence[Servo], known: Known) -> None:
         """Time has passed, from `last_s`; faults begin and end."""

@@ -383,14 +383,13 @@ class Judge(TorqueJudge):
             begins = self._adopting or self._mode == STARTING
             waits = not self._in_charge or (begins and self._duties.lately(now_s, GARBLES))
             weak = self._is_weak(i, servo) and (bool(self._codes) or waits)
-            unknown = self._duties.excused(now_s, i) or self._duties.replaced(now_s, i)
-            if away > LEAD_TICKS and not weak and not unknown:
+            if away > LEAD_TICKS and not weak and not self._unknown(now_s, i):
                 # One that kept its torque while the others lost theirs cannot hold the arm.
                 rule = "limp" if self._mode in LIMP or self._code == "NOT_LIMP" else "2"
                 self._violate(rule, now_s, i, f"{away * TICK_DEG:.1f} deg from its goal (bound 12)")
             if before:
                 self._watch_strain(now_s, i, min(abs(before[i].goal - at) for at in (servo.sensed_tick, self._told[i])))
-            if i in self._enabled and not unknown:
+            if i in self._enabled:
                 self._watch_jump(now_s, i, servo)
         if before and gap_s <= 0.05:
             if not self._settling():

@@ -91,13 +91,17 @@ class ShaftJudge:
             what = f"{self._names[i]} over 8 deg from its goal for 0.3 s"
             self._duties.must_report(now_s + REPORT_SLACK_S, what)
 
+    def _unknown(self, now_s: float, i: int) -> bool:
+        """Whether nobody can tell where a joint is to be: a fault or a hand moves it, or another answers in its name."""
+        return self._duties.excused(now_s, i) or self._duties.replaced(now_s, i)
+
     def _watch_jump(self, now_s: float, i: int, servo: Servo) -> None:
         since_s, from_tick = self._enabled[i]
         if now_s - since_s > JUMP_S:
             del self._enabled[i]
             return
         moved = servo.shaft_tick - from_tick
-        if abs(moved) > JUMP_TICKS and not _sags(servo, moved) and not self._duties.excused(now_s, i):
+        if abs(moved) > JUMP_TICKS and not _sags(servo, moved) and not self._unknown(now_s, i):
             text = f"moved {abs(moved) * TICK_DEG:.1f} deg within {now_s - since_s:.2f} s of torque-on (bound 2)"
             self._violate("3", now_s, i, text)
 
