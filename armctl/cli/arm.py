@@ -89,7 +89,7 @@ def picture(snapshot: dict[str, Any], screen: Screen) -> list[str]:
     lines += table_lines(screen, columns, joints, ("joint", "limits"))
     lines += screen.wrapped(f"tool at {_tool(snapshot)}{warning}", **red if hurried else {})
     if snapshot["progress"] is not None:
-        lines.append(f"{filled(snapshot['progress'], 2 * BAR)} {_progress(snapshot)}")
+        lines += screen.wrapped(f"{filled(snapshot['progress'], 2 * BAR)} {_progress(snapshot)}")
     if snapshot["recording"]:
         lines += screen.wrapped(f"recording {snapshot['recording']}")
     wrong = [f"logging has stopped: {snapshot['log']['problem']}"] * bool(snapshot["log"]["problem"])

@@ -156,7 +156,7 @@ def picture(timeline: Timeline, player: Player, screen: Screen) -> list[str]:
         *screen.wrapped(f"tool at {_tool(timeline, i)}"),
         *screen.wrapped(fault, fg="red"),
         *(line for text in happened for line in screen.wrapped(text, dim=True)),
-        filled(player.at_s / max(timeline.duration_s, 1e-9), BAR),
+        filled(player.at_s / max(timeline.duration_s, 1e-9), min(BAR, screen.width)),
         *screen.wrapped(f"{player.at_s:.1f} of {timeline.duration_s:.1f} s   {mode}"),
         *screen.wrapped(KEYS_HELP, dim=True),
     ]

@@ -191,7 +191,8 @@ class Output:
 
         def bar(done: float, note: str = "") -> str:  # within 80 columns
             share = min(1.0, done / total)
-            left = timedelta(seconds=round((time.monotonic() - began_s) * (1.0 / share - 1.0))) if share else "-:--:--"
+            took_s = time.monotonic() - began_s
+            left = timedelta(seconds=round(min(359_999.0, took_s * (1.0 / share - 1.0)))) if share else "-:--:--"
             return f"{label:<24} {filled(share, 20)} {left} {note}"
 
         if not self.messages.is_terminal:

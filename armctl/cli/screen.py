@@ -51,7 +51,7 @@ class Screen:
     def _size(self) -> os.terminal_size:
         with suppress(OSError):  # io.UnsupportedOperation is one
             return os.get_terminal_size(self.file.fileno())
-        return os.terminal_size((0, sys.maxsize))  # a file has no end
+        return os.terminal_size((0, 0))
 
     def styled(self, text: str, **style: Any) -> str:
         """The text as `click.style` makes it, where there are colours and nobody wants none (`NO_COLOR`)."""
@@ -75,7 +75,7 @@ class Screen:
 
     def draw(self, picture: Sequence[str]) -> None:
         """Show a picture in the place of the one before; what is higher than the terminal is left out."""
-        shown = picture[: self._size().lines - 1]
+        shown = picture[: (self._size().lines or sys.maxsize) - 1]  # a file has no end, some terminals say 0
         begin = f"\x1b[{self._drawn}F" if self._drawn else ""
         self._write(begin + "".join(f"{line}\x1b[K\n" for line in shown) + "\x1b[J")
         self._drawn = len(shown)

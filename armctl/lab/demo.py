@@ -160,7 +160,7 @@ def _teach(session: _Session, seed: int) -> list[str]:
 
 
 def _optimise(session: _Session, names: list[str], seed: int) -> dict[str, Any]:
-    asked = {**dict(zip(("from_m", "to_m"), session.ends_m, strict=True)), "via": VIA, "duration_s": DURATION_S}
+    asked = {"from_m": session.ends_m[0], "to_m": session.ends_m[1], "via": VIA, "duration_s": DURATION_S}
     with session.stage("optimising", DEFAULT.generations) as show:
 
         def tell(told: dict[str, Any]) -> None:

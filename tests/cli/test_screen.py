@@ -70,6 +70,22 @@ def test_a_bar_stands_below_what_is_said_and_is_full_at_the_end(monkeypatch: pyt
     assert terminal.shown() == ["a reply was lost", f"{'guiding':<24} {filled(1.0, 20)} 0:00:00", "done"]
 
 
+def test_a_bar_of_work_that_has_hardly_begun_tells_no_nonsense() -> None:
+    output, terminal = Output(), Terminal()
+    output.messages = Screen(file=terminal, columns=COLUMNS)
+    with output.progress("moving", 1.0) as show:
+        for done in (0.0, 5e-324, 1e-17):
+            show(done)
+
+
+def test_a_terminal_that_does_not_say_its_height_shows_every_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = Terminal()
+    monkeypatch.setattr(os, "get_terminal_size", lambda _: os.terminal_size((0, 0)))
+    monkeypatch.setattr(terminal, "fileno", lambda: 1)
+    Screen(file=terminal).draw(["one", "two"])
+    assert terminal.shown() == ["one", "two"]
+
+
 def test_work_that_fails_leaves_no_bar_before_the_error() -> None:
     output, terminal = Output(), Terminal()
     output.messages = Screen(file=terminal, columns=COLUMNS)

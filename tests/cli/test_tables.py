@@ -124,6 +124,8 @@ def test_the_picture_of_a_replay_fits(tmp_path: Path) -> None:
     log = timeline.load(write_log(tmp_path / "a.mcap", make_records(60, seed=3)))
     player = Player(log.duration_s, at_s=0.5)
     assert_whole(lambda output: output.console.print(*logs.picture(log, player, output.console)))
+    narrow = printed(lambda output: output.console.print(*logs.picture(log, player, output.console)), 50)
+    assert max(map(len, narrow.splitlines())) <= 50  # or it could not be drawn again in its place
 
 
 @pytest.mark.parametrize("robot", ["puma560", "transfer-6dof", "ax12-line", "xiang-6dof", "lanzhou-4dof"])
