@@ -92,7 +92,7 @@ class ShaftJudge:
             self._duties.must_report(now_s + REPORT_SLACK_S, what)
 
     def _unknown(self, now_s: float, i: int) -> bool:
-        """Whether nobody can tell where a joint is to be: a fault or a hand moves it, or another answers in its name."""
+        """Whether nobody can tell where a joint is to be: a fault or a hand moves it, or another servo answers."""
         return self._duties.excused(now_s, i) or self._duties.replaced(now_s, i)
 
     def _watch_jump(self, now_s: float, i: int, servo: Servo) -> None:
