@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 EVENTS_SHOWN = 6
 # Between two lines where there is no terminal.
 LINE_S = 1.0
-# Characters of the bar that shows where the player is.
-BAR = 60
 KEYS_HELP = "space: pause   left, right: 5 s back, forward   + -: rate   l: loop   q: leave"
 
 
@@ -156,7 +154,7 @@ def picture(timeline: Timeline, player: Player, screen: Screen) -> list[str]:
         *screen.wrapped(f"tool at {_tool(timeline, i)}"),
         *screen.wrapped(fault, fg="red"),
         *(line for text in happened for line in screen.wrapped(text, dim=True)),
-        filled(player.at_s / max(timeline.duration_s, 1e-9), min(BAR, screen.width)),
+        filled(player.at_s / max(timeline.duration_s, 1e-9), min(60, screen.width)),
         *screen.wrapped(f"{player.at_s:.1f} of {timeline.duration_s:.1f} s   {mode}"),
         *screen.wrapped(KEYS_HELP, dim=True),
     ]

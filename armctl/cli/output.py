@@ -189,8 +189,11 @@ class Output:
         """
         began_s = time.monotonic()
 
+        last = ""
+
         def bar(done: float, note: str = "") -> str:  # within 80 columns
-            share = min(1.0, done / total)
+            nonlocal last
+            share, last = min(1.0, done / total), note
             took_s = time.monotonic() - began_s
             left = timedelta(seconds=round(min(359_999.0, took_s * (1.0 / share - 1.0)))) if share else "-:--:--"
             return f"{label:<24} {filled(share, 20)} {left} {note}"
@@ -200,7 +203,7 @@ class Output:
         self.messages.stand(bar(0.0))
         yield lambda done, note="": self.messages.stand(bar(done, note))
         if self.messages.is_terminal:
-            self.warn(bar(total).rstrip())
+            self.warn(bar(total, last).rstrip())
 
 
 def millimetres(point_m: Iterable[float]) -> str:

@@ -12,8 +12,6 @@ from typing import Any, TextIO
 
 import click
 
-# Characters of a line where nothing tells.
-COLUMNS = 80
 # What bars, marks and rules are made of where there are few letters.
 PLAIN = str.maketrans("━╌●─", "#-o-")
 # Between two lines that stand in one place, seconds: a terminal takes longer to draw them than most work to go on.
@@ -46,7 +44,7 @@ class Screen:
     def width(self) -> int:
         """Characters of a line; a person's `COLUMNS` goes before what the terminal says."""
         wanted = os.environ.get("COLUMNS", "")
-        return self._columns or int(wanted if wanted.isdecimal() else 0) or self._size().columns or COLUMNS
+        return self._columns or int(wanted if wanted.isdecimal() else 0) or self._size().columns or 80
 
     def _size(self) -> os.terminal_size:
         with suppress(OSError):  # io.UnsupportedOperation is one

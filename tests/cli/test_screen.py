@@ -64,10 +64,10 @@ def test_a_bar_stands_below_what_is_said_and_is_full_at_the_end(monkeypatch: pyt
         show(1.5)  # too soon to be drawn
         assert len(terminal.shown()) == 1
         now_s += REDRAWN_S
-        show(2.0)
+        show(2.0, "1.3 mm")
         assert filled(0.5, 20) in terminal.shown()[1]
     output.say("done")
-    assert terminal.shown() == ["a reply was lost", f"{'guiding':<24} {filled(1.0, 20)} 0:00:00", "done"]
+    assert terminal.shown() == ["a reply was lost", f"{'guiding':<24} {filled(1.0, 20)} 0:00:00 1.3 mm", "done"]
 
 
 def test_a_bar_of_work_that_has_hardly_begun_tells_no_nonsense() -> None:
