@@ -229,11 +229,10 @@ class Refinement:
 
     def _in_doubt(self, one: Round, best: Round, noise_mm: float) -> bool:
         """Whether a plan that seems better has to be run again before that is believed."""
-        if len(one.runs) == 1:
-            if one.filtered_mm >= best.filtered_mm:
-                return False
-            return self._left is None or best.filtered_mm - one.filtered_mm < DISAGREE * noise_mm
-        return not enough(one, noise_mm)
+        if len(one.runs) > 1:
+            return not enough(one, noise_mm)
+        gain_mm = best.filtered_mm - one.filtered_mm
+        return gain_mm > 0.0 and (self._left is None or gain_mm < DISAGREE * noise_mm)
 
     def _better(self, one: Round, best: Round) -> bool:
         """Whether a plan takes the kept one's place."""

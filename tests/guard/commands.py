@@ -190,7 +190,7 @@ class Session:
 
 
 def on_an_arm() -> dict[str, Any]:
-    """One session on `armctl sim`, from the bus to a run and back, and the demonstration, shortened."""
+    """One session on `armctl sim`, from the bus to a run and back."""
     session = Session()
     with own_folder():
         with started("sim --link port") as simulator:
@@ -200,9 +200,13 @@ def on_an_arm() -> dict[str, Any]:
             with started("daemon --port port") as daemon:
                 session.note("daemon", 0, daemon())
                 play(session)
-        with patch.multiple("armctl.lab.demo", **SHORT_DEMO):
-            session.ask("demo --out demo")
     return session.found
+
+
+def demonstrated(out: Path) -> tuple[int, Any]:
+    """Exit status and answer of the demonstration, shortened."""
+    with patch.multiple("armctl.lab.demo", **SHORT_DEMO):
+        return asked(f"demo --out {out}")
 
 
 def play(session: Session) -> None:
@@ -227,4 +231,7 @@ def play(session: Session) -> None:
 
 
 if __name__ == "__main__":
-    save(FILE, {"answers": answers(), "on an arm": on_an_arm()})
+    demo = Session()
+    with own_folder() as folder:
+        demo.note("demo", *demonstrated(folder / "demo"))
+    save(FILE, {"answers": answers(), "on an arm": on_an_arm(), "demonstrated": demo.found})
