@@ -192,14 +192,13 @@ class Session:
 def on_an_arm() -> dict[str, Any]:
     """One session on `armctl sim`, from the bus to a run and back."""
     session = Session()
-    with own_folder():
-        with started("sim --link port") as simulator:
-            session.note("sim", 0, simulator())
-            session.ask(*COMMANDS["on the port"], more="--port port")
-            session.ask(*COMMANDS["on the simulator"], more="--link port")
-            with started("daemon --port port") as daemon:
-                session.note("daemon", 0, daemon())
-                play(session)
+    with own_folder(), started("sim --link port") as simulator:
+        session.note("sim", 0, simulator())
+        session.ask(*COMMANDS["on the port"], more="--port port")
+        session.ask(*COMMANDS["on the simulator"], more="--link port")
+        with started("daemon --port port") as daemon:
+            session.note("daemon", 0, daemon())
+            play(session)
     return session.found
 
 

@@ -9,6 +9,7 @@ import pytest
 import yaml
 
 from armctl.kinematics import robots
+from armctl.sim.faults import Fault
 from armctl.trajectory.collision import link_points
 from proving import reading
 from proving.arms import SHIPPED, arm_of, arm_text, drawn, varied
@@ -158,3 +159,20 @@ def test_a_reply_behind_the_rest_of_a_broken_one_is_heard(cut: int) -> None:
     watch.received += reply[:cut] + reply
     watch.hear(10**9)
     assert watch.replies[1].data == reply[5:-1]
+
+
+@pytest.mark.parametrize(("begin_s", "heard"), [(0.0004, True), (-0.0004, True), (-0.0012, False)])
+def test_a_reply_is_heard_where_its_request_had_no_echo(
+    begin_s: float, heard: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    on, story = drawn_by(1, 0)
+    judge = (watch := Episode(story, on).watch)._judge
+    judge._duties.plan(Fault(kind="echo", begin_s=1.0 + begin_s))
+    told = dict[int, int]()
+    monkeypatch.setattr(judge, "_told", told)
+    servo_id = on.arm.servo_ids[1]
+    body = [servo_id, reading.STATUS_SIZE + 2, *range(reading.STATUS_SIZE + 1)]
+    watch.before(bytes([0xFF, 0xFF, servo_id, 4, reading.READ, reading.STATUS_BEGIN, 0, 0]), 2_000_000_000)
+    watch.received += bytes([0xFF, 0xFF, *body, ~sum(body) & 0xFF])
+    watch.hear(2_000_900_000)
+    assert bool(told) is heard

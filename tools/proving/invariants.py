@@ -70,6 +70,8 @@ REST_SPEED_DEG_S = 20.0
 # From the last goal that may advance to an arm that is still.
 REST_S = 0.3
 AGE_S = 0.25
+# The simulated world goes on in such steps: a fault begins, and ends, with the next one.
+WORLD_STEP_S = 0.001
 # A bus that is heard again: looked for, identified, and the silent ones of it told.
 FOUND_S = 2.5
 BURST_S, BURST = 0.25, 4
@@ -147,15 +149,19 @@ class Judge(TorqueJudge):
         if kind in STOPS or (kind == "pause" and self._mode == MOVING):
             self._duties.must_stop(now_s + self._period_s + STOP_S, f"after `{kind}`", by_clear=False, invariant="6")
 
-    def heard(self, now_s: float, index: int, position: int, goal: int | None = None) -> None:
+    def heard(
+        self, now_s: float, index: int, position: int, goal: int | None = None, *, asked_s: float | None = None
+    ) -> None:
         """A good reply of a servo has reached the host.
 
         Args:
             position: Where it says it is [tick].
+            asked_s: When its request left the host, and was echoed or not; None: just now.
             goal: The one it tells, of a servo under torque. One that is not from here obliges a program that looks;
                 one that this program's next goal replaced before anybody asked the servo is seen by nobody.
         """
-        if self._duties.lately(now_s, {"echo"}, 0.0) and not self._duties.may_be_forged(now_s):
+        echoed = self._duties.lately((now_s if asked_s is None else asked_s) - WORLD_STEP_S, {"echo"}, 0.0)
+        if echoed and not self._duties.may_be_forged(now_s):
             return  # the host hears itself, unless what it said was cut
         self._heard_s[index], self._told[index] = now_s, position
         if not self._settling():

@@ -103,7 +103,9 @@ class Watch:
         self._body, self._judge, self._arm = body, judge, arm
         self._index = {servo_id: i for i, servo_id in enumerate(arm.servo_ids)}
         self._heads = {servo_id: bytes((0xFF, 0xFF, servo_id, STATUS_REPLY - 4)) for servo_id in arm.servo_ids}
+        # Which servo was asked for its status last, and when [ns].
         self._pending: int | None = None
+        self._pending_ns = 0
         # Of the whole arm: what holds a joint up takes its weight, which nobody can tell from a push.
         self._carried = PointMasses(body.chain, (*body.points_kg[:-1], body.points_kg[-1] + CARRIED_KG))
         self._writes = [-1] * len(body.servos)
@@ -139,7 +141,7 @@ class Watch:
         self._sent = []
         if packet[4] == READ:
             if packet[5] == STATUS_BEGIN:
-                self._pending = packet[2]
+                self._pending, self._pending_ns = packet[2], now_ns
                 index = self._index[packet[2]]
                 # A sample goes through the servos once, and asks none again that it has heard.
                 self._identifying |= index in self._heard or index < max(self._asked, default=0)
@@ -174,7 +176,8 @@ class Watch:
                 self.replies[index] = Heard(reply[2], bytes(reply[3:-1]))
                 torque, goal = reply[TORQUE_AT], reply[GOAL_AT] | reply[GOAL_AT + 1] << 8
                 position = reply[POSITION_AT] | reply[POSITION_AT + 1] << 8
-                self._judge.heard(self.now_s(now_ns), index, position, goal if torque else None)
+                asked_s = self.now_s(self._pending_ns)
+                self._judge.heard(self.now_s(now_ns), index, position, goal if torque else None, asked_s=asked_s)
                 self._heard.add(index)
                 break
             at = received.find(self._heads[pending], at + 1)
