@@ -226,6 +226,28 @@ def test_the_soak_as_a_command_gives_figures_and_rows() -> None:
     assert [row["row"] for row in figures["rows"]] == list(soak.ROWS)
 
 
+def test_14_memory_in_use_counts_and_what_is_given_back_does_not() -> None:
+    before_mib = soak.memory_mib()
+    parts = [b"\1" * 20_000 for _ in range(500)]
+    last = b"\1" * 20_000  # behind them, so that the allocator has to keep what they leave
+    grown_mib = soak.memory_mib() - before_mib
+    assert grown_mib > 9.0
+    parts.clear()
+    assert soak.memory_mib() - before_mib < 0.1 * grown_mib
+    assert last
+
+
+@pytest.mark.parametrize(("grown_mib", "told"), [(2.9, False), (3.2, True)])
+def test_14_a_worker_that_grows_is_told_of(grown_mib: float, told: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    in_use_mib = soak.memory_mib()
+    monkeypatch.setattr(soak, "_baseline", None)
+    monkeypatch.setattr(soak, "_tally", tally := soak.Tally(runs=soak.WARM))
+    for more_mib in (0.0, grown_mib):
+        monkeypatch.setattr(soak, "memory_mib", lambda more_mib=more_mib: in_use_mib + more_mib)
+        soak._watch_process(tally, 7)
+    assert [failure[:2] for failure in tally.failures] == ([(7, "14")] if told else [])
+
+
 def test_a_proof_refuses_options_that_are_not_its_own() -> None:
     result = CliRunner().invoke(proving.main, ["prove", "packets", "--hours", "1"])
     assert result.exit_code == 2
