@@ -65,6 +65,7 @@ OPTIONS = {
     "place": {"arms", "targets", "workers"},
     "replay": {"workers"},
     "setup": {"arms", "workers"},
+    "units": {"hours"},
 }
 BENCHES: dict[str, Work] = {
     name: _work(f"{name}_bench", "bench")
@@ -93,7 +94,9 @@ def _named(_context: click.Context, _option: click.Parameter, value: str | None)
 @main.command()
 @click.argument("name", type=click.Choice(tuple(PROOFS)))
 @seeded
-@click.option("--hours", type=click.FloatRange(0.0), help="soak: virtual time; hang: on a busy machine.")
+@click.option(
+    "--hours", type=click.FloatRange(0.0), help="soak: virtual time; hang: on a busy machine; units: of service."
+)
 @click.option(
     "--runs", type=click.IntRange(0), help="hang: of each process; client: ends; programs.  [default: 200; 100]"
 )

@@ -48,10 +48,10 @@ print(found)
 
 
 class Installed:
-    """One machine on which armctl is to be installed by what the README says."""
+    """One machine on which armctl is to be installed by what the README says, and served for `lasts_s` in one go."""
 
-    def __init__(self, machine: Machine, seed: int) -> None:
-        self.machine, self.seed = machine, seed
+    def __init__(self, machine: Machine, seed: int, lasts_s: float = 0.0) -> None:
+        self.machine, self.seed, self.lasts_s = machine, seed, lasts_s
         self.token = ""
         # What the commands of the README took, one entry a command [s].
         self.steps: list[tuple[str, float]] = []

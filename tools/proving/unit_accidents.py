@@ -2,13 +2,21 @@
 
 import json
 import time
+from collections.abc import Iterator
+
+from mcap.reader import make_reader
+from mcap.records import Message
+from mcap_ros2.decoder import DecoderFactory
 
 from proving.installed import ARMCTL, DAEMON, STILL_RAD, WEB, Installed, until, written
 from proving.unit_job import added
 from proving.unit_story import (
     CONFIG,
+    GROWN_MB,
+    LOGS,
     OPTIMISE,
     POWER_CUTS,
+    ROUNDS_OF_ONE,
     STARTS,
     UPGRADES,
     Told,
@@ -243,6 +251,53 @@ def _(here: Installed) -> Told:
     names = [plan["name"] for plan in here.ask("/plans")[1]["plans"]]
     people = [one["name"] for one in here.machine.json(ARMCTL, "web", "token", "list")["tokens"]]
     return names == ["proved-via2"] and "ada" in people and here.ask("/status", token=ada)[0] == 200, (names, people)
+
+
+@story(f"as installed: of {ROUNDS_OF_ONE:,} rounds of readings one is missing at most, and nothing grows")
+def _(here: Installed) -> Told:
+    here.holding()
+    here.machine.must("systemctl", "stop", DAEMON)
+    before = set(here.folder(LOGS))
+    here.machine.must("systemctl", "start", DAEMON)
+    until(lambda: here.state() == "holding", "the daemon", 20.0)
+    time.sleep(0.5 * here.lasts_s)  # its history of two minutes is full by then
+    memory_MB, files = _size(here)
+    time.sleep(0.5 * here.lasts_s)
+    grown_MB, more = (now - then for now, then in zip(_size(here), (memory_MB, files), strict=True))
+    here.machine.must("systemctl", "stop", DAEMON)
+    whole_ns = [
+        message.log_time
+        for name in here.folder(LOGS)
+        if name not in before
+        for message in _rounds(f"{here.machine.root}{LOGS}/{name}")
+    ]
+    here.machine.must("systemctl", "start", DAEMON)
+    until(lambda: here.state() == "holding", "the daemon", 20.0)
+    due = round((whole_ns[-1] - whole_ns[0]) / 1e8) + 1
+    missing = due - len(whole_ns)
+    held = missing <= due // ROUNDS_OF_ONE and grown_MB <= GROWN_MB and more <= 0 and due >= 9.0 * here.lasts_s
+    return (
+        held,
+        f"{missing} of {due} missing, {memory_MB:.1f} MB and {grown_MB:+.2f}, {files:.0f} files and {more:+.0f}",
+    )
+
+
+def _size(here: Installed) -> tuple[float, float]:
+    """Memory [MB] of the daemon's processes that is theirs alone, and how many files they have open."""
+    pid = here.main_pid()
+    processes = [f"/proc/{one}" for one in (pid, *here.children(pid))]
+    lines = [line.split() for one in processes for line in here.machine.read(f"{one}/smaps_rollup").splitlines()]
+    own_kB = sum(int(line[1]) for line in lines if line[0] == "Anonymous:")
+    return own_kB / 1024.0, float(sum(len(here.folder(f"{one}/fd")) for one in processes))
+
+
+def _rounds(log: str) -> Iterator[Message]:
+    """The ticks of a finished log in which every servo was read."""
+    with open(log, "rb") as stream:
+        reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        for _, _, message, told in reader.iter_decoded_messages(topics=["/armctl/servos"]):
+            if all(servo.fresh for servo in told.servos):
+                yield message
 
 
 # ------------------------------------------------------------------------------------------- several arms

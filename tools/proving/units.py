@@ -18,12 +18,16 @@ from proving.unit_story import SHORT, STORIES, Story, Tell
 ROOMS = (unit_job, unit_accidents)
 
 
-def prove(seed: int, tell: Tell = lambda _: None) -> dict[str, Any]:
-    """Every story once; `violations` counts the claims that do not hold, `steps` is what a newcomer typed."""
+def prove(seed: int, tell: Tell = lambda _: None, *, hours: float = 0.1) -> dict[str, Any]:
+    """Every story once; `violations` counts the claims that do not hold, `steps` is what a newcomer typed.
+
+    Args:
+        hours: How long the service is watched while nobody interferes with it.
+    """
     checks = [*service_words.units(), *service_words.protocol(seed)]
     steps = []
     with machine("units") as booted:
-        installed = Installed(booted, seed)
+        installed = Installed(booted, seed, 3600.0 * hours)
         checks += list(told(installed, STORIES, tell))
         steps = [f"{took_s:.1f} s: {command}" for command, took_s in installed.steps]
     violated = [check["name"] for check in checks if not check["ok"]]
