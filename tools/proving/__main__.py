@@ -130,13 +130,16 @@ def prove(name: str, seed: int, as_json: bool, **options: float | int | str | tu
 @main.command()
 @click.argument("name", type=click.Choice((*BENCHES, "all")))
 @seeded
+@click.option("--installed", is_flag=True, help="jitter: of the installed service, on a machine booted for it.")
 @as_json
-def bench(name: str, seed: int, as_json: bool) -> None:
+def bench(name: str, seed: int, installed: bool, as_json: bool) -> None:
     """Run a benchmark; its bounds are for an idle machine, so missing one is told and no failure, save where the
     benchmark weighs both sides in the same run and says that it is one.
     """
+    if installed and name != "jitter":
+        raise click.UsageError(f"{name} takes no --installed")
     names = tuple(BENCHES) if name == "all" else (name,)
-    results = [BENCHES[one](seed) for one in names]
+    results = [BENCHES[one](seed, **({"installed": True} if installed else {})) for one in names]
     result: dict[str, Any] = {
         "rows": [row for one in results for row in one["rows"]],
         "checks": [check for one in results for check in one["checks"]],

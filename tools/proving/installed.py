@@ -5,8 +5,11 @@ import json
 import shutil
 import socket
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Container, Iterator
 from typing import Any
+
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
 
 from armctl.errors import ArmctlError
 from proving.machine import ROOT, Machine, wheels
@@ -16,6 +19,7 @@ PACKAGES = "/opt/packages"
 WEB = "http://127.0.0.1:8080"
 # Where the adapter's name leads; without an adapter it leads nowhere.
 PORT = "/dev/arm/servos"
+LOGS = "/var/lib/armctl/logs"
 DAEMON = "armctl.service"
 DASHBOARD = "armctl-web.service"
 # The simulated arm, as a program of the user whose group may use an adapter.
@@ -156,6 +160,37 @@ class Installed:
     def children(self, pid: int) -> list[int]:
         return [int(word) for word in self.machine.read(f"/proc/{pid}/task/{pid}/children").split()]
 
+    def policy(self) -> str:
+        """By which the kernel schedules the control process; 1: SCHED_FIFO."""
+        [control] = self.children(self.main_pid())
+        return self.machine.read(f"/proc/{control}/stat").rpartition(")")[2].split()[38]
+
+    @contextlib.contextmanager
+    def in_real_time(self) -> Iterator[str]:
+        """The service with the priority that its unit asks for, and how it comes to it, if not by that alone.
+
+        Root of this machine may not be allowed to raise a limit. That nothing else of the unit is in the way is seen
+        with a capability.
+        """
+        if self.machine.run("prlimit", "--rtprio=10:10", "true").returncode == 0:
+            yield ""
+            return
+        drop_in = f"/run/systemd/system/{DAEMON}.d/proving.conf"
+        nice = "[Service]\nCapabilityBoundingSet=CAP_SYS_NICE\nAmbientCapabilities=CAP_SYS_NICE\n"
+        self.machine.write(drop_in, nice)
+        self.renew()
+        try:
+            yield ", with CAP_SYS_NICE: no limit can be raised here"
+        finally:
+            self.machine.must("rm", drop_in)
+            self.renew()
+
+    def renew(self) -> None:
+        """Start the daemon anew with its unit as it stands now."""
+        self.machine.must("systemctl", "daemon-reload")
+        self.machine.must("systemctl", "restart", DAEMON)
+        until(lambda: self.state() != "none", "the daemon", 20.0)
+
     def restarts(self, unit: str = DAEMON) -> int:
         return int(self.machine.unit(unit, "NRestarts")["NRestarts"])
 
@@ -166,6 +201,15 @@ class Installed:
         """Messages of all logs that hold a word, in whatever piece of a file that is not finished yet."""
         log = self.call("log")["path"]
         return int(self.machine.must("/opt/armctl/bin/python", "-c", COUNT, log, word))
+
+    def messages(self, topic: str, *, but: Container[str]) -> Iterator[tuple[int, Any]]:
+        """Times [ns] and messages of a topic in all finished logs but some, as mcap-ros2-support reads them."""
+        for name in self.folder(LOGS):
+            if name not in but:
+                with open(self._inside(f"{LOGS}/{name}"), "rb") as stream:
+                    reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
+                    for _, _, message, one in reader.iter_decoded_messages(topics=[topic]):
+                        yield message.log_time, one
 
     def folder(self, path: str) -> list[str]:
         """Names in a folder, by name."""

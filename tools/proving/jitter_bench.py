@@ -23,7 +23,9 @@ from armctl.errors import ArmctlError
 from armctl.files import load_arm
 from armctl.lab.demo import started
 from armctl.messages import TickRecord
-from proving.figures import check, row
+from proving.figures import Row, check, row
+from proving.installed import DAEMON, LOGS, Installed, until
+from proving.machine import machine
 from proving.rig import ARM, rig
 
 SECONDS = 20.0
@@ -32,32 +34,27 @@ RATES_HZ = (10, 100)
 SETTLE_S = 1.0
 IDLE_BOUND_MS = 1.0
 BUSY_BOUND_MS = 5.0
+# As installed: idle, and beside so many busy processes.
+INSTALLED_BOUND_MS, HOGS = (1.0, 2.0), 12
 DAEMON_CPU_BOUND = 0.03
 DAEMON_MEMORY_BOUND_MB = 150.0
 
 
-def bench(seed: int, seconds: float = SECONDS) -> dict[str, Any]:
-    """Rows and checks; `ratio` is to the bound."""
-    rows: list[dict[str, Any]] = []
-    checks: list[dict[str, Any]] = []
+def bench(seed: int, seconds: float = SECONDS, *, installed: bool = False) -> dict[str, Any]:
+    """Rows and checks; `ratio` is to the bound.
+
+    Args:
+        installed: Of the service instead, as it is installed, on a machine that is booted for it.
+    """
+    if installed:
+        return of_the_service(seed, seconds)
+    rows: list[Row] = []
+    checks: list[Row] = []
     for work, hogs in (("idle", 0), ("all cores busy", os.cpu_count() or 1)):
         for rate_hz in RATES_HZ:
             late_ms = lateness_ms(seed, 1.0 / rate_hz, seconds, hogs)
             bound_ms = BUSY_BOUND_MS if hogs else IDLE_BOUND_MS
-            for share in (50, 99, 100):
-                value_ms = float(np.percentile(late_ms, share))
-                name = "max" if share == 100 else f"p{share}"
-                rows.append(
-                    row(
-                        f"lateness {name} at {rate_hz} Hz, {work}",
-                        "armctl control",
-                        value_ms,
-                        "ms",
-                        value_ms / bound_ms,
-                    )
-                )
-            p99 = float(np.percentile(late_ms, 99))
-            checks.append(check(f"lateness p99 at {rate_hz} Hz, {work} [ms]", p99, bound_ms))
+            _told(f"at {rate_hz} Hz, {work}", late_ms, bound_ms, rows, checks)
     cpu, memory = daemon_cost(seed, seconds)
     for process, core in cpu.items():
         rows.append(row("CPU at 10 Hz, nothing to do", process, 100.0 * core, "% of a core", core / DAEMON_CPU_BOUND))
@@ -65,6 +62,44 @@ def bench(seed: int, seconds: float = SECONDS) -> dict[str, Any]:
         rows.append(row("memory (PSS)", process, megabytes, "MB", megabytes / DAEMON_MEMORY_BOUND_MB))
     checks.append(check("daemon's CPU over all its processes [core]", sum(cpu.values()), DAEMON_CPU_BOUND))
     checks.append(check("daemon's memory over all its processes [MB]", sum(memory.values()), DAEMON_MEMORY_BOUND_MB))
+    return {"rows": rows, "checks": checks, "seed": seed}
+
+
+def _told(
+    work: str, late_ms: list[float], bound_ms: float, rows: list[Row], checks: list[Row], who: str = "armctl control"
+) -> None:
+    for name, share in (("p50", 50), ("p99", 99), ("max", 100)):
+        value_ms = float(np.percentile(late_ms, share))
+        rows.append(row(f"lateness {name} {work}", who, value_ms, "ms", value_ms / bound_ms))
+        if name == "p99":
+            checks.append(check(f"lateness p99 {work} [ms]", value_ms, bound_ms))
+
+
+def of_the_service(seed: int, seconds: float) -> dict[str, Any]:
+    """How late the ticks of the installed service come, by its log, idle and beside `HOGS` processes that compute."""
+    rows: list[Row] = []
+    checks: list[Row] = []
+    with machine("jitter") as booted:
+        here = Installed(booted, seed)
+        here.fetch()
+        here.install()
+        here.simulate()
+        until(lambda: here.state() == "off", "the arm", 20.0)
+        with here.in_real_time() as how:
+            before = here.folder(LOGS)
+            here.renew()
+            spans_ns = []
+            for hogs in (0, HOGS):
+                with busy(hogs, seconds):
+                    time.sleep(SETTLE_S)
+                    begin_ns = time.monotonic_ns()
+                    time.sleep(seconds)
+                    spans_ns.append((begin_ns, time.monotonic_ns()))
+            here.machine.must("systemctl", "stop", DAEMON)
+            cycles = [cycle for _, cycle in here.messages("/armctl/cycle", but=before)]
+    for (begin_ns, end_ns), load, bound_ms in zip(spans_ns, ("idle", f"load {HOGS}"), INSTALLED_BOUND_MS, strict=True):
+        late_ms = [cycle.lateness_us / 1e3 for cycle in cycles if begin_ns <= cycle.now_ns < end_ns]
+        _told(f"at 10 Hz, installed, {load}", late_ms, bound_ms, rows, checks, f"armctl control{how}")
     return {"rows": rows, "checks": checks, "seed": seed}
 
 

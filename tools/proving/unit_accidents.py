@@ -2,18 +2,12 @@
 
 import json
 import time
-from collections.abc import Iterator
 
-from mcap.reader import make_reader
-from mcap.records import Message
-from mcap_ros2.decoder import DecoderFactory
-
-from proving.installed import ARMCTL, DAEMON, STILL_RAD, WEB, Installed, until, written
+from proving.installed import ARMCTL, DAEMON, LOGS, STILL_RAD, WEB, Installed, until, written
 from proving.unit_job import added
 from proving.unit_story import (
     CONFIG,
     GROWN_MB,
-    LOGS,
     OPTIMISE,
     POWER_CUTS,
     ROUNDS_OF_ONE,
@@ -265,12 +259,8 @@ def _(here: Installed) -> Told:
     time.sleep(0.5 * here.lasts_s)
     grown_MB, more = (now - then for now, then in zip(_size(here), (memory_MB, files), strict=True))
     here.machine.must("systemctl", "stop", DAEMON)
-    whole_ns = [
-        message.log_time
-        for name in here.folder(LOGS)
-        if name not in before
-        for message in _rounds(f"{here.machine.root}{LOGS}/{name}")
-    ]
+    rounds = here.messages("/armctl/servos", but=before)
+    whole_ns = [at_ns for at_ns, one in rounds if all(servo.fresh for servo in one.servos)]
     here.machine.must("systemctl", "start", DAEMON)
     until(lambda: here.state() == "holding", "the daemon", 20.0)
     due = round((whole_ns[-1] - whole_ns[0]) / 1e8) + 1
@@ -289,15 +279,6 @@ def _size(here: Installed) -> tuple[float, float]:
     lines = [line.split() for one in processes for line in here.machine.read(f"{one}/smaps_rollup").splitlines()]
     own_kB = sum(int(line[1]) for line in lines if line[0] == "Anonymous:")
     return own_kB / 1024.0, float(sum(len(here.folder(f"{one}/fd")) for one in processes))
-
-
-def _rounds(log: str) -> Iterator[Message]:
-    """The ticks of a finished log in which every servo was read."""
-    with open(log, "rb") as stream:
-        reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
-        for _, _, message, told in reader.iter_decoded_messages(topics=["/armctl/servos"]):
-            if all(servo.fresh for servo in told.servos):
-                yield message
 
 
 # ------------------------------------------------------------------------------------------- several arms
