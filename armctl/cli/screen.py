@@ -61,8 +61,11 @@ class Screen:
         return [self.styled(part, **style) for line in text.splitlines() for part in wrap(line, self.width) or [""]]
 
     def print(self, *lines: str) -> None:
-        """Show lines, in the place of what stands there; what the terminal has no letter for is a question mark."""
-        begin, self._stands = "\r\x1b[K" * self._stands, False
+        """Show lines, in the place of what stands there; what the terminal has no letter for is a question mark.
+
+        What another program has left standing there, goes too, where this one does not say what it was asked for.
+        """
+        begin, self._stands = "\r\x1b[K" * (self._stands or (self._error and self.is_terminal)), False
         self._write(begin + "".join(f"{line}\n" for line in lines))
 
     def stand(self, text: str) -> None:

@@ -78,6 +78,16 @@ def test_a_bar_of_work_that_has_hardly_begun_tells_no_nonsense() -> None:
             show(done)
 
 
+def test_what_is_said_takes_the_place_of_another_programs_bar(monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal, file = Terminal(), io.StringIO()
+    for stream in (terminal, file):
+        monkeypatch.setattr("sys.stderr", stream)
+        stream.write("a hand guides ━━━╌╌╌")
+        Screen(error=True).print("recording", "guide it")
+    assert terminal.shown() == ["recording", "guide it"]
+    assert file.getvalue() == "a hand guides ━━━╌╌╌recording\nguide it\n"
+
+
 def test_a_terminal_that_does_not_say_its_height_shows_every_line(monkeypatch: pytest.MonkeyPatch) -> None:
     terminal = Terminal()
     monkeypatch.setattr(os, "get_terminal_size", lambda _: os.terminal_size((0, 0)))
