@@ -59,7 +59,8 @@ class ChunkWriter:
         self._compress = zstandard.ZstdCompressor(level=level).compress
         # Bytes written so far.
         self.offset = 0
-        self._summary: dict[str, list[records.McapRecord]] = {kind: [] for kind in _SUMMARY}
+        # As bytes: a log of an hour has 3,600 chunks, and as objects their places would take 5 MB.
+        self._summary: dict[str, list[bytes]] = {kind: [] for kind in _SUMMARY}
         self._counts: dict[int, int] = {}
         self._body = bytearray()
         self._entries: dict[int, list[int]] = {}
@@ -69,30 +70,30 @@ class ChunkWriter:
     def add_schema(self, name: str, encoding: str, data: bytes) -> int:
         """Number of a new schema."""
         schemas = self._summary["schema"]
-        schemas.append(records.Schema(id=len(schemas) + 1, data=data, encoding=encoding, name=name))
-        self._body += _bytes(schemas[-1])
+        schemas.append(_bytes(records.Schema(id=len(schemas) + 1, data=data, encoding=encoding, name=name)))
+        self._body += schemas[-1]
         return len(schemas)
 
     def add_channel(self, topic: str, encoding: str, schema_id: int, metadata: Mapping[str, str]) -> int:
         """Number of a new channel."""
         channels = self._summary["channel"]
         number = len(channels) + 1
-        channels.append(records.Channel(number, topic, encoding, dict(metadata), schema_id))
+        channels.append(_bytes(records.Channel(number, topic, encoding, dict(metadata), schema_id)))
         self._entries[number] = []
-        self._body += _bytes(channels[-1])
+        self._body += channels[-1]
         return number
 
     def add_attachment(self, attachment: records.Attachment) -> None:
         """Attach a file; it stands before the chunk in progress."""
         a, record = attachment, _bytes(attachment)
         about = a.log_time, a.create_time, len(a.data), a.name, a.media_type
-        self._summary["attachment"].append(records.AttachmentIndex(self.offset, len(record), *about))
+        self._summary["attachment"].append(_bytes(records.AttachmentIndex(self.offset, len(record), *about)))
         self._write(record)
 
     def add_metadata(self, name: str, facts: Mapping[str, str]) -> None:
         """Add a metadata record; it stands before the chunk in progress."""
         record = _bytes(records.Metadata(name, dict(facts)))
-        self._summary["metadata"].append(records.MetadataIndex(self.offset, len(record), name))
+        self._summary["metadata"].append(_bytes(records.MetadataIndex(self.offset, len(record), name)))
         self._write(record)
 
     def add_message(self, channel_id: int, time_ns: int, sequence: int, data: bytes) -> None:
@@ -123,19 +124,18 @@ class ChunkWriter:
             indexes += struct.pack(f"<BQHI{len(entry)}Q", Opcode.MESSAGE_INDEX, 6 + size, number, size, *entry)
             self._counts[number] = self._counts.get(number, 0) + len(entry) // 2
             self._entries[number] = []
-        self._summary["chunk"].append(
-            records.ChunkIndex(
-                chunk_length=len(chunk),
-                chunk_start_offset=self.offset,
-                compression="zstd",
-                compressed_size=len(packed),
-                message_end_time=end_ns,
-                message_index_length=len(indexes),
-                message_index_offsets=places,
-                message_start_time=begin_ns,
-                uncompressed_size=len(data),
-            )
+        index = records.ChunkIndex(
+            chunk_length=len(chunk),
+            chunk_start_offset=self.offset,
+            compression="zstd",
+            compressed_size=len(packed),
+            message_end_time=end_ns,
+            message_index_length=len(indexes),
+            message_index_offsets=places,
+            message_start_time=begin_ns,
+            uncompressed_size=len(data),
         )
+        self._summary["chunk"].append(_bytes(index))
         self._begin_ns, self._end_ns = min(self._begin_ns, begin_ns), max(self._end_ns, end_ns)
         self._body = bytearray()
         self._write(chunk + indexes)
@@ -151,10 +151,10 @@ class ChunkWriter:
             message_start_time=self._begin_ns if self._counts else 0,
             **{f"{kind}_count": len(group) for kind, group in self._summary.items() if kind != "statistics"},
         )
-        self._summary["statistics"].append(statistics)
+        self._summary["statistics"].append(_bytes(statistics))
         begin, summary, offsets = self.offset, b"", b""
         for kind, group in self._summary.items():
-            data = b"".join(map(_bytes, group))
+            data = b"".join(group)
             if data:
                 offsets += _bytes(records.SummaryOffset(_SUMMARY[kind], begin + len(summary), len(data)))
             summary += data

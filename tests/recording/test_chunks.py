@@ -3,6 +3,7 @@
 import io
 import random
 import struct
+import tracemalloc
 import zlib
 from pathlib import Path
 
@@ -55,6 +56,32 @@ def test_the_mcap_package_reads_what_was_written_and_seeks_in_it(tmp_path: Path)
     with LogFile(path) as log:
         assert [(m.topic, m.sequence, m.data) for m in log.messages()] == written
         assert log.complete
+
+
+def test_an_open_file_keeps_little_of_each_chunk() -> None:
+    class Nowhere(io.BytesIO):
+        def write(self, data: object) -> int:
+            return 0
+
+    writer = ChunkWriter(Nowhere())
+    schema = writer.add_schema("std_msgs/msg/String", "ros2msg", b"string data\n")
+    numbers = [writer.add_channel(f"/c{i}", "cdr", schema, {}) for i in range(12)]
+
+    def chunked(count: int) -> int:
+        """What is kept of so many chunks [bytes]."""
+        begin = tracemalloc.get_traced_memory()[0]
+        for index in range(count):
+            for number in numbers:
+                writer.add_message(number, index, index, b"data")
+            writer.end_chunk()
+        return tracemalloc.get_traced_memory()[0] - begin
+
+    tracemalloc.start()
+    try:
+        chunked(20)
+        assert chunked(400) < 400 * 500
+    finally:
+        tracemalloc.stop()
 
 
 def test_a_file_without_messages_is_a_file() -> None:

@@ -153,6 +153,7 @@ def _(here: Installed) -> Told:
 @story("a plan is run over HTTP, and its run is recorded")
 def _(here: Installed) -> Told:
     here.holding()
+    here.arm("let_go")
     status, answer = here.ask("/plans/proved-via2/run", {}, wait_s=120.0)
     return status == 200 and "recording" in answer, (status, answer.get("error") or answer.get("mean_error_mm"))
 
