@@ -154,8 +154,7 @@ class ChunkWriter:
         self._summary["statistics"].append(_bytes(statistics))
         begin, summary, offsets = self.offset, b"", b""
         for kind, group in self._summary.items():
-            data = b"".join(group)
-            if data:
+            if data := b"".join(group):
                 offsets += _bytes(records.SummaryOffset(_SUMMARY[kind], begin + len(summary), len(data)))
             summary += data
         footer = _bytes(records.Footer(begin, begin + len(summary), summary_crc=0))

@@ -13,6 +13,7 @@ import logging
 import os
 import subprocess
 import sys
+import threading
 from collections.abc import Sequence
 from itertools import zip_longest
 from pathlib import Path
@@ -85,6 +86,8 @@ class Compaction:
         if self._process is None or self._process.poll() is not None:
             command = [sys.executable, "-m", "armctl.recording.compact", *map(str, folders)]
             self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+            # So that nothing defunct is left of it until the next hour.
+            threading.Thread(target=self._process.wait, name="compaction", daemon=True).start()
 
 
 def _same(one: Path, other: Path) -> bool:

@@ -3,6 +3,7 @@
 import errno
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from unittest.mock import Mock
@@ -123,6 +124,21 @@ def test_the_process_compacts_the_logs_of_a_folder_and_nothing_else(log: Path) -
     assert others == {path: path.read_bytes() for path in others}
     with Index(log.parent) as index:
         assert index.new() == [], "the index is up to date"
+
+
+def test_nothing_is_left_of_a_process_that_has_compacted(log: Path) -> None:
+    def children() -> set[str]:
+        return {
+            child for task in Path("/proc/self/task").iterdir() for child in (task / "children").read_text().split()
+        }
+
+    before, size = children(), log.stat().st_size
+    Compaction().start(log.parent)
+    for thread in threading.enumerate():
+        if thread.name == "compaction":
+            thread.join(100.0)
+    assert children() <= before
+    assert log.stat().st_size < size
 
 
 def test_a_log_that_was_cut_is_known_to_have_been_when_it_is_compacted(tmp_path: Path) -> None:

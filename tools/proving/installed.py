@@ -162,7 +162,7 @@ class Installed:
 
     def policy(self) -> str:
         """By which the kernel schedules the control process; 1: SCHED_FIFO."""
-        [control] = self.children(self.main_pid())
+        [control] = self.controls(self.main_pid())
         return self.machine.read(f"/proc/{control}/stat").rpartition(")")[2].split()[38]
 
     @contextlib.contextmanager
@@ -190,6 +190,10 @@ class Installed:
         self.machine.must("systemctl", "daemon-reload")
         self.machine.must("systemctl", "restart", DAEMON)
         until(lambda: self.state() != "none", "the daemon", 20.0)
+
+    def controls(self, pid: int) -> list[int]:
+        """The control process of a daemon, not the jobs beside it."""
+        return [one for one in self.children(pid) if "armctl.control" in self.machine.read(f"/proc/{one}/cmdline")]
 
     def restarts(self, unit: str = DAEMON) -> int:
         return int(self.machine.unit(unit, "NRestarts")["NRestarts"])

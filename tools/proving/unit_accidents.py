@@ -78,9 +78,9 @@ def _(here: Installed) -> Told:
 def _(here: Installed) -> Told:
     here.holding()
     pid, before = here.main_pid(), here.joints_rad()
-    [control] = here.children(pid)
+    [control] = here.controls(pid)
     here.machine.must("kill", "-KILL", str(control))
-    until(lambda: here.children(pid) not in ([], [control]) and here.state() == "holding", "another", 20.0)
+    until(lambda: here.controls(pid) not in ([], [control]) and here.state() == "holding", "another", 20.0)
     return here.main_pid() == pid and here.moved_rad(before) < STILL_RAD, f"moved {here.moved_rad(before):.4f} rad"
 
 
