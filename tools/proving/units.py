@@ -49,6 +49,15 @@ def told(installed: Installed, stories: list[tuple[str, Story]], tell: Tell) -> 
         try:
             ok, value = function(installed)
         except Exception as error:  # whatever it is, the claim was not seen to hold
-            ok, value = False, f"{type(error).__name__}: {error}"
+            ok, value = False, f"{type(error).__name__}: {error}; {_words(installed)}"
         tell(f"{'held  ' if ok else 'BROKEN'} {time.monotonic() - begin_s:5.1f} s  {name}: {value}")
         yield {"name": name, "ok": bool(ok), "value": str(value)[:300]}
+
+
+def _words(installed: Installed) -> str:
+    """What the daemon says of its arm, for whoever reads why a story broke off."""
+    try:
+        status = installed.call("status")
+        return f"{status['state']}, {[fault['text'] for fault in status['faults']]}"
+    except Exception as error:
+        return f"{type(error).__name__}: {error}"
