@@ -230,8 +230,10 @@ def _(here: Installed) -> Told:
         here.simulate()
         until(lambda: here.state() == "off", "the daemon", 30.0)
     after = here.folder("/var/lib/armctl/recordings"), here.folder("/var/lib/armctl/plans"), here.machine.read(CONFIG)
-    parts = [name for name in here.folder("/var/lib/armctl/logs") if name.endswith(".part")]
-    return kept == after and len(parts) <= 1, f"{len(parts)} logs without an end"
+    mended_s = until(
+        lambda: sum(name.endswith(".part") for name in here.folder(LOGS)) <= 1, "the end of each log", 60.0
+    )
+    return kept == after, f"every log but the one under way has an end {mended_s:.0f} s after the last"
 
 
 @story("after a reboot daemon and dashboard are there, with the same tokens and plans")
