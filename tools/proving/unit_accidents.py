@@ -221,34 +221,6 @@ def _(here: Installed) -> Told:
     return same == kept[:2] and here.moved_rad(kept[2]) < STILL_RAD, f"moved {here.moved_rad(kept[2]):.4f} rad"
 
 
-@story(f"{POWER_CUTS} power cuts: the service comes back by itself, no recording and no setting is lost")
-def _(here: Installed) -> Told:
-    kept = here.folder("/var/lib/armctl/recordings"), here.folder("/var/lib/armctl/plans"), here.machine.read(CONFIG)
-    for _ in range(POWER_CUTS):
-        here.machine.power_cut()
-        here.machine.boot()
-        here.simulate()
-        until(lambda: here.state() == "off", "the daemon", 30.0)
-    after = here.folder("/var/lib/armctl/recordings"), here.folder("/var/lib/armctl/plans"), here.machine.read(CONFIG)
-    mended_s = until(
-        lambda: sum(name.endswith(".part") for name in here.folder(LOGS)) <= 1, "the end of each log", 60.0
-    )
-    return kept == after, f"every log but the one under way has an end {mended_s:.0f} s after the last"
-
-
-@story("after a reboot daemon and dashboard are there, with the same tokens and plans")
-def _(here: Installed) -> Told:
-    here.machine.reboot()
-    here.simulate()
-    until(lambda: here.state() == "off", "the daemon", 30.0)
-    until(lambda: here.machine.ask(f"{WEB}/")[0] == 200, "the page", 30.0)
-    ada = added(here, "ada2", "look")
-    here.token = here.local_token()
-    names = [plan["name"] for plan in here.ask("/plans")[1]["plans"]]
-    people = [one["name"] for one in here.machine.json(ARMCTL, "web", "token", "list")["tokens"]]
-    return names == ["proved-via2"] and "ada" in people and here.ask("/status", token=ada)[0] == 200, (names, people)
-
-
 @story(f"as installed: of {ROUNDS_OF_ONE:,} rounds of readings one is missing at most, and nothing grows")
 def _(here: Installed) -> Told:
     here.holding()
@@ -281,6 +253,34 @@ def _size(here: Installed) -> tuple[float, float]:
     lines = [line.split() for one in processes for line in here.machine.read(f"{one}/smaps_rollup").splitlines()]
     own_kB = sum(int(line[1]) for line in lines if line[0] == "Anonymous:")
     return own_kB / 1024.0, float(sum(len(here.folder(f"{one}/fd")) for one in processes))
+
+
+@story(f"{POWER_CUTS} power cuts: the service comes back by itself, no recording and no setting is lost")
+def _(here: Installed) -> Told:
+    kept = here.folder("/var/lib/armctl/recordings"), here.folder("/var/lib/armctl/plans"), here.machine.read(CONFIG)
+    for _ in range(POWER_CUTS):
+        here.machine.power_cut()
+        here.machine.boot()
+        here.simulate()
+        until(lambda: here.state() == "off", "the daemon", 30.0)
+    after = here.folder("/var/lib/armctl/recordings"), here.folder("/var/lib/armctl/plans"), here.machine.read(CONFIG)
+    mended_s = until(
+        lambda: sum(name.endswith(".part") for name in here.folder(LOGS)) <= 1, "the end of each log", 60.0
+    )
+    return kept == after, f"every log but the one under way has an end {mended_s:.0f} s after the last"
+
+
+@story("after a reboot daemon and dashboard are there, with the same tokens and plans")
+def _(here: Installed) -> Told:
+    here.machine.reboot()
+    here.simulate()
+    until(lambda: here.state() == "off", "the daemon", 30.0)
+    until(lambda: here.machine.ask(f"{WEB}/")[0] == 200, "the page", 30.0)
+    ada = added(here, "ada2", "look")
+    here.token = here.local_token()
+    names = [plan["name"] for plan in here.ask("/plans")[1]["plans"]]
+    people = [one["name"] for one in here.machine.json(ARMCTL, "web", "token", "list")["tokens"]]
+    return names == ["proved-via2"] and "ada" in people and here.ask("/status", token=ada)[0] == 200, (names, people)
 
 
 # ------------------------------------------------------------------------------------------- several arms
