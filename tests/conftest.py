@@ -18,19 +18,7 @@ from hypothesis import settings
 settings.register_profile("any time", deadline=None)
 settings.load_profile("any time")
 
-# The rooms whose branches are counted, each by its own tests: to trace all others would double the suite's time.
-COVERED = {"kinematics", "trajectory", "genetic", "control", "dynamixel"}
-# Save these, in which whole arms move for long: tracing would treble their time, and hardly covers more.
-UNTRACED = {f"test_{name}.py" for name in ("identify", "jog", "latch", "pairs", "ramps", "slowed", "stillness")}
-
 PROCESSORS = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    tests = Path(__file__).parent
-    for item in items:
-        if item.path.relative_to(tests).parts[0] not in COVERED or item.path.name in UNTRACED:
-            item.add_marker(pytest.mark.no_cover)
 
 
 def pytest_runtest_setup() -> None:

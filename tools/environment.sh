@@ -2,6 +2,8 @@
 # A finished set-up is reused until pyproject.toml or the constraints change.
 
 set -eu
+# What these scripts start is started again and again, and would be compiled anew each time.
+unset PYTHONDONTWRITEBYTECODE
 root=$(cd "$(dirname "$0")/.." && pwd)
 extra=${1:+[$1]}
 venv="$root/.venv"
