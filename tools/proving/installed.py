@@ -42,8 +42,9 @@ import sys
 from mcap.records import Message
 from mcap.stream_reader import StreamReader
 found = 0
+log = open(sys.argv[1], "rb")
 try:
-    for record in StreamReader(open(sys.argv[1], "rb")).records:
+    for record in StreamReader(log).records:
         found += isinstance(record, Message) and sys.argv[2].encode() in record.data
 except Exception:
     pass
@@ -203,8 +204,8 @@ class Installed:
 
     def logged(self, word: str) -> int:
         """Messages of all logs that hold a word, in whatever piece of a file that is not finished yet."""
-        log = self.call("log")["path"]
-        return int(self.machine.must("/opt/armctl/bin/python", "-c", COUNT, log, word))
+        under_way = self.call("log")["path"] + ".part"
+        return int(self.machine.must("/opt/armctl/bin/python", "-c", COUNT, under_way, word))
 
     def messages(self, topic: str, *, but: Container[str]) -> Iterator[tuple[int, Any]]:
         """Times [ns] and messages of a topic in all finished logs but some, as mcap-ros2-support reads them."""
