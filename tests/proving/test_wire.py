@@ -1,12 +1,7 @@
 """The wire proof's short form: the real daemon, a real pty, four faults."""
 
-from dataclasses import replace
-from unittest.mock import Mock
-
-import numpy as np
 import pytest
 
-from armctl.files import load_arm
 from proving import wire, wire_damage, wire_rows
 
 
@@ -37,14 +32,3 @@ def test_a_wrong_word_about_a_damaged_line_is_counted(monkeypatch: pytest.Monkey
     result = wire_damage.prove(1, 1)
     assert result["violations"] == 1
     assert "JUMP_REFUSED" in result["damage"][0]["codes"]
-
-
-@pytest.mark.parametrize(("least_deg", "most_deg", "told"), [(-2.6, 1.9, False), (-4.2, 0.0, True), (0.0, 4.2, True)])
-def test_a_joint_is_judged_by_how_far_it_is_from_its_place(least_deg: float, most_deg: float, told: bool) -> None:
-    scenario, arm = replace(wire_rows.SCENARIOS[0], state="holding", act=None, settles=False), load_arm("ax12-line")
-    joints_rad = np.zeros((60, len(arm.joints)))
-    joints_rad[20:30, 2], joints_rad[40:50, 2] = np.radians((least_deg, most_deg))
-    truth = Mock(time_ns=np.arange(60) * 10_000_000, joints_rad=joints_rad)
-    running = Mock(arm=arm, **{"simulator.truth.return_value": truth})
-    wire._judge_motion(running, scenario, result := wire.Result("holding"), wire._Motion(), 0, 600_000_000)
-    assert bool(result.violations) is told

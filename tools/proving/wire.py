@@ -5,7 +5,7 @@ simulated servos themselves. Judged in each of them:
 
 1. The code and state of the matrix come within its bound (and one tick, for a fault may begin just behind a reading).
 2. A motion that a fault stops is still at most 0.7 s after that bound (200 ms of goals, 500 ms to come to rest).
-3. No joint goes from its place that was not asked to, save the one whose servo the fault took away or commands.
+3. No joint moves that was not asked to, save the one whose servo the fault took away or commands.
 4. Every goal a servo holds lies within the joint's limits; no torque comes on, and none goes off, unasked.
 5. Where a fault latched: `clear` is refused while its cause stands, and once it is gone ready within 3 s, in the same
    control process.
@@ -38,8 +38,7 @@ LAST_GOAL_S = 0.2
 REST_S = 0.5
 CLEAR_S = 3.0
 COOL_DEGC = 40.0
-# From its place: 20 % of stall torque bends a servo by 1.9 deg, a swing of the base leaves it so, and the correction of
-# that may lift it too far at first.
+# Sag aside, and its correction: 20 % of stall torque bends a servo by 1.9 deg, and a swing of the base leaves it so.
 MOVED_RAD = math.radians(4.0)
 # Motion within 0.1 s that still counts as rest.
 STILL_RAD = math.radians(0.4)
@@ -304,7 +303,7 @@ def _judge_motion(
     asked = [i for i in kept if scenario.state == "moving" and ids[i] in MOVING_IDS]
     settling = scenario.settles
     for i in kept:
-        moved = float(np.abs(truth.joints_rad[:, i] - truth.joints_rad[0, i]).max())
+        moved = float(np.ptp(truth.joints_rad[:, i]))
         if i not in asked and not settling and moved > MOVED_RAD:
             result.violations.append(f"servo {ids[i]} moved {math.degrees(moved):.1f} deg, and was not asked to")
     if scenario.state != "moving" or not asked:
