@@ -38,7 +38,8 @@ class Screen:
 
     @property
     def is_terminal(self) -> bool:
-        return self.file.isatty()
+        """Whether lines can be drawn again in their place: it is a terminal, and no dumb one."""
+        return self.file.isatty() and os.environ.get("TERM") != "dumb"
 
     @property
     def width(self) -> int:
@@ -53,7 +54,7 @@ class Screen:
 
     def styled(self, text: str, **style: Any) -> str:
         """The text as `click.style` makes it, where there are colours and nobody wants none (`NO_COLOR`)."""
-        plain = not self.is_terminal or "NO_COLOR" in os.environ or os.environ.get("TERM") == "dumb"
+        plain = not self.is_terminal or "NO_COLOR" in os.environ
         return text if plain or not text else click.style(text, **style)
 
     def wrapped(self, text: str, **style: Any) -> list[str]:
@@ -63,7 +64,7 @@ class Screen:
     def print(self, *lines: str) -> None:
         """Show lines, in the place of what stands there; what the terminal has no letter for is a question mark.
 
-        What another program has left standing there, goes too, where this one does not say what it was asked for.
+        On stderr, a line that another program left standing there goes too.
         """
         begin, self._stands = "\r\x1b[K" * (self._stands or (self._error and self.is_terminal)), False
         self._write(begin + "".join(f"{line}\n" for line in lines))

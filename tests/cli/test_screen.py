@@ -88,6 +88,18 @@ def test_what_is_said_takes_the_place_of_another_programs_bar(monkeypatch: pytes
     assert file.getvalue() == "a hand guides ━━━╌╌╌recording\nguide it\n"
 
 
+def test_a_dumb_terminal_is_sent_lines_and_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TERM", "dumb")
+    terminal = Terminal()
+    monkeypatch.setattr("sys.stderr", terminal)
+    output = Output()
+    with output.progress("moving", 1.0) as show:
+        show(0.5)
+    output.warn("a reply was lost")
+    assert "\x1b" not in terminal.getvalue()
+    assert terminal.getvalue().endswith("a reply was lost\n")
+
+
 def test_a_terminal_that_does_not_say_its_height_shows_every_line(monkeypatch: pytest.MonkeyPatch) -> None:
     terminal = Terminal()
     monkeypatch.setattr(os, "get_terminal_size", lambda _: os.terminal_size((0, 0)))

@@ -60,7 +60,9 @@ def test_demonstration_teaches_optimises_runs_replays_and_reports(tmp_path: Path
     assert not list(out.rglob("*.part"))
 
 
-@pytest.mark.parametrize(("arm", "high_m"), [("phantomx-pincher", 0.25), ("phantomx-reactor", 0.1)])
+@pytest.mark.parametrize(
+    ("arm", "high_m"), [("crane-plus-v2", 0.1), ("phantomx-pincher", 0.25), ("phantomx-reactor", 0.1)]
+)
 def test_another_arm_is_demonstrated_along_the_first_line_in_its_reach(arm: str, high_m: float, tmp_path: Path) -> None:
     out = tmp_path / "demo"
     with patch.multiple(demo, **{**SHORT_DEMO, "LINES": ((0.18, 0.05, 0.1), (0.18, 0.05, 0.25))}):
