@@ -45,7 +45,7 @@ SEED = 1
 TWICE_EVERY = 40
 SHRINK_S = 120.0
 MIB_PER_DAY = 1.0
-# What an allocator keeps from the largest episode so far; and caches, each arm's own, fill after the first episodes too.
+# What an allocator keeps from the largest episode so far; caches, each arm's own, fill after the first episodes too.
 SLACK_MIB = {"memory": 8.0, "memory in use": 3.0}
 # Episodes of a worker before its memory counts.
 WARM = 30
