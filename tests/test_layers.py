@@ -63,7 +63,10 @@ def modules() -> dict[str, Path]:
 MODULES = modules()
 
 
-def imports(path: Path) -> set[str]:
+@functools.cache
+def imports(module: str) -> frozenset[str]:
+    """What a module of armctl imports, its own modules by their whole names."""
+    path = MODULES[module]
     names: set[str] = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
@@ -73,7 +76,7 @@ def imports(path: Path) -> set[str]:
             base = node.module or ""
             names.add(base)
             names.update(f"{base}.{alias.name}" for alias in node.names if f"{base}.{alias.name}" in MODULES)
-    return names
+    return frozenset(names)
 
 
 def within(module: str, part: str) -> bool:
@@ -99,18 +102,15 @@ def reached(module: str, packages: bool = True) -> frozenset[str]:
     waiting = [module]
     while waiting:
         name = waiting.pop()
-        if name in IMPORTED and name not in found:
+        if name in MODULES and name not in found:
             found.add(name)
-            waiting.extend(IMPORTED[name] | ({name.rpartition(".")[0]} if packages else set()))
+            waiting.extend(imports(name) | ({name.rpartition(".")[0]} if packages else set()))
     return frozenset(found)
-
-
-IMPORTED = {module: imports(path) for module, path in MODULES.items()}
 
 
 @pytest.mark.parametrize("module", sorted(MODULES))
 def test_imports_go_down_only(module: str) -> None:
-    for name in IMPORTED[module]:
+    for name in imports(module):
         if within(name, "armctl"):
             assert layer(name) <= layer(module), f"{module} imports {name}, which stands above it"
 
@@ -119,8 +119,8 @@ def test_no_two_rooms_import_each_other() -> None:
     """Not for types alone either: rooms of one layer may import in one direction."""
     rooms = {
         (module.split(".")[1], name.split(".")[1])
-        for module, names in IMPORTED.items()
-        for name in names
+        for module in MODULES
+        for name in imports(module)
         if name.startswith("armctl.") and "." in module
     }
     assert not [(room, other) for room, other in rooms if room < other and (other, room) in rooms]
@@ -128,8 +128,8 @@ def test_no_two_rooms_import_each_other() -> None:
 
 def test_no_module_imports_itself_through_others() -> None:
     """Not for types alone either. A package may import its modules, which are imported through it."""
-    for module, names in IMPORTED.items():
-        for name in names & MODULES.keys():
+    for module in MODULES:
+        for name in imports(module) & MODULES.keys():
             back = not within(name, module) and not within(module, name) and module in reached(name, packages=False)
             assert not back, f"{module} and {name} import each other"
 
@@ -137,7 +137,7 @@ def test_no_module_imports_itself_through_others() -> None:
 @pytest.mark.parametrize("module", sorted(name for name in MODULES if any(within(name, part) for part in PURE)))
 def test_pure_modules_reach_neither_time_nor_files_nor_threads(module: str) -> None:
     for name in reached(module):
-        assert not {found.split(".")[0] for found in IMPORTED[name]} & IMPURE, f"{module} reaches {name}"
+        assert not {found.split(".")[0] for found in imports(name)} & IMPURE, f"{module} reaches {name}"
         assert not re.search(r"\bopen\(", MODULES[name].read_text(encoding="utf-8")), f"{module} reaches {name}"
 
 
@@ -145,7 +145,7 @@ def test_pure_modules_reach_neither_time_nor_files_nor_threads(module: str) -> N
 def test_parts_that_must_not_know_each_other_do_not(who: str, what: str) -> None:
     for module in MODULES:
         if within(module, who):
-            assert not any(within(name, what) for name in IMPORTED[module]), f"{module} imports {what}"
+            assert not any(within(name, what) for name in imports(module)), f"{module} imports {what}"
 
 
 def test_nothing_asks_whether_the_servos_are_simulated() -> None:
