@@ -7,9 +7,9 @@ import pytest
 
 from armctl.kinematics import robots
 from armctl.kinematics.chain import tool_position
-from armctl.lab.stage import silent
 from armctl.papers import paper_000
-from armctl.papers.comparison import QUICK, SMALLER
+from armctl.papers.comparison import SMALLER
+from tests.papers.quick import reproduced
 
 ROBOT = robots.get("xiang-6dof")
 
@@ -36,7 +36,7 @@ def test_with_polish_97_targets_are_reached_and_the_others_come_as_near_as_they_
 
 
 def test_the_report_tells_every_quantity_with_its_verdict() -> None:
-    report = paper_000.reproduce(QUICK, 0, silent)
+    report = reproduced("000")
     verdicts = {row.quantity: row.verdict for row in report.rows}
     assert verdicts["mean |dxy|, GA with polish"] == SMALLER
     assert sum("out of reach by exactly" in name for name in verdicts) == 3
@@ -51,6 +51,6 @@ def test_the_report_tells_every_quantity_with_its_verdict() -> None:
 
 
 def test_mean_and_best_of_figure_8_meet_where_an_individual_is_mutated_and_not_where_a_bit_is() -> None:
-    found = {row.quantity: row.armctl for row in paper_000.reproduce(QUICK, 0, silent).rows}
+    found = {row.quantity: row.armctl for row in reproduced("000").rows}
     name = "least / mean distance after 200 generations (Fig. 8)"
     assert float(found[name]) < 0.2 < 0.8 < float(found[f"{name}, mutation of 0.01 an individual"])

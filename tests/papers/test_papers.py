@@ -11,10 +11,10 @@ from armctl.kinematics.genetic import improved
 from armctl.kinematics.genetic.problem import Evolution, Problem
 from armctl.kinematics.robots.papers import IMPROVED_XYZ_RPY, STANDARD_XYZ_RPY
 from armctl.kinematics.robots.robot import Robot
-from armctl.lab.stage import silent
-from armctl.papers import paper_001, paper_002, paper_003, paper_004
-from armctl.papers.comparison import QUICK, SMALLER, PaperReport, error
+from armctl.papers import paper_001, paper_003, paper_004
+from armctl.papers.comparison import SMALLER, PaperReport, error
 from armctl.papers.transcription import transcription
+from tests.papers.quick import reproduced
 
 TRANSFER = robots.get("transfer-6dof")
 
@@ -43,7 +43,7 @@ def test_001_rows_of_table_2_lie_apart_as_printed() -> None:
 
 
 def test_001_improved_algorithm_is_better_and_every_operator_is_knocked_out_once() -> None:
-    report = paper_001.reproduce(QUICK, 0, silent)
+    report = reproduced("001")
     found = {row.quantity: row for row in report.rows}
     assert verdicts(report)["improved: distance, median of 3 seeds"] == SMALLER
     assert verdicts(report)["improved, with polish: greatest distance"] == SMALLER
@@ -58,7 +58,7 @@ def test_001_improved_algorithm_is_better_and_every_operator_is_knocked_out_once
 
 
 def test_001_what_is_found_has_the_turns_of_print_and_not_their_other_triple() -> None:
-    wanted, *_, improved, standard = paper_001.reproduce(QUICK, 0, silent).tables[0].rows
+    wanted, *_, improved, standard = reproduced("001").tables[0].rows
     for row, apart in ((improved, 1e-3), (standard, 0.3)):
         assert [float(cell) for cell in row[1:]] == pytest.approx([float(cell) for cell in wanted[1:]], abs=apart)
 
@@ -81,7 +81,7 @@ def test_001_a_pose_that_was_missed_gets_another_seed(monkeypatch: pytest.Monkey
 
 
 def test_002_puts_the_papers_own_procedure_beside_table_ii() -> None:
-    report = paper_002.reproduce(QUICK, 0, silent)
+    report = reproduced("002")
     found = verdicts(report)
     for number in (1, 2, 3):
         assert found[f"Table II, experiment {number}, time (asked for as printed)"] == "equal"
@@ -103,14 +103,14 @@ def test_002_puts_the_papers_own_procedure_beside_table_ii() -> None:
 
 
 def test_003_keeps_what_print_has_right() -> None:
-    found = verdicts(paper_003.reproduce(QUICK, 0, silent))
+    found = verdicts(reproduced("003"))
     assert {name for name, verdict in found.items() if verdict == "misprint"} == {"solutions of a pose at most"}
     assert found["poses through IK and back"] == "equal"
 
 
 def test_003_figures_show_what_print_shows_in_its_units() -> None:
     drawn: dict[str, list[Any]] = {}
-    for picture in paper_003.reproduce(QUICK, 0, silent).pictures:
+    for picture in reproduced("003").pictures:
         drawn.setdefault(picture.title.partition(":")[0], []).append(picture.draw())
     assert [len(drawn[f"Fig. {number}"]) for number in (4, 5, 6, 7, 8)] == [4, 2, 1, 1, 3]
     assert all([trace["visible"] for trace in chart.data] == [True, *["legendonly"] * 3] for chart in drawn["Fig. 8"])
@@ -129,14 +129,14 @@ def test_003_figures_show_what_print_shows_in_its_units() -> None:
 
 
 def test_001_no_decade_of_the_iteration_curve_lies_below_a_tenth_of_what_print_reaches() -> None:
-    (chart,) = (one.draw() for one in paper_001.reproduce(QUICK, 0, silent).pictures if "Fig. 1" in one.title)
+    (chart,) = (one.draw() for one in reproduced("001").pictures if "Fig. 1" in one.title)
     lines = {trace["name"]: trace["y"][0] for trace in chart.data if "Table 2" in trace["name"]}
     assert chart.layout["yaxis"]["range"][0] == pytest.approx(np.log10(lines["improved, in Table 2"]) - 1.0)
     assert lines["improved, in Table 2"] < lines["standard, in Table 2"]
 
 
 def test_001_figures_2_and_3_show_the_pose_of_the_hand_as_their_captions_say() -> None:
-    wanted = next(one for one in paper_001.reproduce(QUICK, 0, silent).pictures if one.description == "Fig. 2: wanted")
+    wanted = next(one for one in reproduced("001").pictures if one.description == "Fig. 2: wanted")
     drawn = {trace["name"]: trace for trace in wanted.draw().data}
     axes = {name: np.array([drawn[name][axis] for axis in "xyz"]) for name in "noa"}
     turns = np.stack([np.diff(axes[name], axis=1)[:, 0] / 150.0 for name in "noa"], axis=1)
@@ -152,7 +152,7 @@ def test_003_poses_come_back_exactly_with_two_branches() -> None:
 
 
 def test_004_kinematics_hold_the_printed_start_does_not_and_the_cycle_is_drawn() -> None:
-    report = paper_004.reproduce(QUICK, 0, silent)
+    report = reproduced("004")
     chart = next(picture for picture in report.pictures if picture.title.startswith("Fig. 3")).draw()
     assert len(chart.data[0]["x"]) == len(paper_004.simulated_cycle(TRANSFER).time_s)
     found = verdicts(report)
