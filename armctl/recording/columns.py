@@ -12,6 +12,7 @@ Rules.
 import struct
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from typing import Any, Self
 
 import numpy as np
@@ -147,9 +148,8 @@ class Block:
         begin = np.array(begins, np.int64)
         places = np.ndarray((max(0, len(data) - _HEAD.itemsize + 1),), f"V{_HEAD.itemsize}", data, 0, (1,))
         heads = places[begin].view(_HEAD)
-        self._topics = {
-            number: channels[number] for number in np.unique(heads["channel"]).tolist() if number in channels
-        }
+        numbers = np.unique(heads["channel"]).tolist()
+        self._topics = {number: channels[number] for number in numbers if number in channels}
         known = np.isin(heads["channel"], [*self._topics])
         # How many messages are left out.
         self.unknown = int((~known).sum())
@@ -165,8 +165,9 @@ class Block:
 
     def payloads(self, topics: Collection[str] | None, base: int) -> Iterator[tuple[str, Payloads]]:
         """The messages of some topics, or of all; `base`: place of the block in its file."""
-        for topic in {*self._topics.values()} if topics is None else {*topics} & {*self._topics.values()}:
-            rows = np.isin(self._heads["channel"], [number for number, one in self._topics.items() if one == topic])
+        asked = (number for number, topic in self._topics.items() if topics is None or topic in topics)
+        for topic, numbers in groupby(sorted(asked, key=self._topics.__getitem__), self._topics.__getitem__):
+            rows = np.isin(self._heads["channel"], [*numbers])
             heads, begin, end = self._heads[rows], self._begin[rows], self._end[rows]
             size, data = end - begin, self.data
             if (least := int(size[0])) and (size == least).all():
@@ -220,8 +221,7 @@ class _Walk:
         self, name: str, messages: Mapping[str, str], buffer: bytes, starts: IntArray, sizes: IntArray
     ) -> None:
         self._name, self._messages, self._buffer = name, messages, buffer
-        self._starts, self._sizes = starts, sizes
-        self._least = int(sizes.min())
+        self._starts, self._sizes, self._least = starts, sizes, int(sizes.min())
         strides = np.diff(starts)
         self._stride = self._least if (sizes == self._least).all() and (strides == self._least).all() else 0
         self._columns: dict[str, Column | Texts] = {}
