@@ -9,7 +9,8 @@ import pytest
 import yaml
 
 from armctl.kinematics import robots
-from armctl.sim.faults import Fault
+from armctl.sim.arm import SimulatedArm
+from armctl.sim.faults import Fault, Faults
 from armctl.trajectory.collision import link_points
 from proving import reading
 from proving.arms import SHIPPED, arm_of, arm_text, drawn, varied
@@ -161,18 +162,26 @@ def test_a_reply_behind_the_rest_of_a_broken_one_is_heard(cut: int) -> None:
     assert watch.replies[1].data == reply[5:-1]
 
 
-@pytest.mark.parametrize(("begin_s", "heard"), [(0.0004, True), (-0.0004, True), (-0.0012, False)])
-def test_a_reply_is_heard_where_its_request_had_no_echo(
-    begin_s: float, heard: bool, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("asked_ms", [0.0, 0.4])
+@pytest.mark.parametrize("off_ms", [-1.2, -0.5, -0.3, 0.0, 0.3, 0.5, 0.7, 1.2])
+@pytest.mark.parametrize("edge", ["begins", "ends"])
+def test_a_reply_is_heard_where_the_world_did_not_echo_its_request(
+    asked_ms: float, off_ms: float, edge: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """It goes on in whole milliseconds, and an echo begins or ends with the next one."""
     on, story = drawn_by(1, 0)
     judge = (watch := Episode(story, on).watch)._judge
-    judge._duties.plan(Fault(kind="echo", begin_s=1.0 + begin_s))
-    told = dict[int, int]()
-    monkeypatch.setattr(judge, "_told", told)
-    servo_id = on.arm.servo_ids[1]
+    begin_s = 1.0 + (asked_ms + off_ms) / 1e3 - (0.3 if edge == "ends" else 0.0)
+    fault = Fault(kind="echo", begin_s=begin_s, duration_s=0.3)
+    judge._duties.plan(fault)
+    world = SimulatedArm(on.arm, faults=Faults())
+    world.advance(1_000_000_000)
+    world.faults.begin(fault, 0.0)
+    monkeypatch.setattr(judge, "_told", told := dict[int, int]())
+    servo_id, asked_ns = on.arm.servo_ids[1], 2_000_000_000 + round(asked_ms * 1e6)
     body = [servo_id, reading.STATUS_SIZE + 2, *range(reading.STATUS_SIZE + 1)]
-    watch.before(bytes([0xFF, 0xFF, servo_id, 4, reading.READ, reading.STATUS_BEGIN, 0, 0]), 2_000_000_000)
+    watch.before(bytes([0xFF, 0xFF, servo_id, 4, reading.READ, reading.STATUS_BEGIN, 0, 0]), asked_ns)
     watch.received += bytes([0xFF, 0xFF, *body, ~sum(body) & 0xFF])
-    watch.hear(2_000_900_000)
-    assert bool(told) is heard
+    watch.hear(asked_ns + 900_000)
+    world.advance(asked_ns)
+    assert bool(told) is (world.faults.in_force("echo") is None)

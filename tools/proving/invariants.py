@@ -70,8 +70,9 @@ REST_SPEED_DEG_S = 20.0
 # From the last goal that may advance to an arm that is still.
 REST_S = 0.3
 AGE_S = 0.25
-# The simulated world goes on in such steps: a fault begins, and ends, with the next one.
-WORLD_STEP_S = 0.001
+# The simulated world goes on in such steps: a fault begins, and ends, with the next one. Two times are the same if they
+# differ by such a part of a step, for they are rounded.
+WORLD_STEP_S, SAME_STEP = 0.001, 1e-6
 # A bus that is heard again: looked for, identified, and the silent ones of it told.
 FOUND_S = 2.5
 BURST_S, BURST = 0.25, 4
@@ -160,8 +161,10 @@ class Judge(TorqueJudge):
             goal: The one it tells, of a servo under torque. One that is not from here obliges a program that looks;
                 one that this program's next goal replaced before anybody asked the servo is seen by nobody.
         """
-        echoed = self._duties.lately((now_s if asked_s is None else asked_s) - WORLD_STEP_S, {"echo"}, 0.0)
-        if echoed and not self._duties.may_be_forged(now_s):
+        struck_s = math.floor((now_s if asked_s is None else asked_s) / WORLD_STEP_S + SAME_STEP) * WORLD_STEP_S
+        if self._duties.lately(struck_s + SAME_STEP * WORLD_STEP_S, {"echo"}, 0.0) and not self._duties.may_be_forged(
+            now_s
+        ):
             return  # the host hears itself, unless what it said was cut
         self._heard_s[index], self._told[index] = now_s, position
         if not self._settling():
