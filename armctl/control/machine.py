@@ -355,7 +355,8 @@ class State:
     pair_since_ns: tuple[int, ...] = field(default=(), metadata={"of": "some arms"})
     # Readings lost to noise in each of the latest ticks.
     noise: tuple[int, ...] = ()
-    # Positions of the previous sample, and of those before it in which none was meant to have torque [tick].
+    # Positions of the previous sample, and of those before it in which none was meant to have torque [tick]; what was
+    # read before a late tick says nothing any more of where a shaft is.
     last_ticks: tuple[int, ...] = ()
     earlier_ticks: tuple[tuple[int, ...], ...] = ()
 

@@ -63,8 +63,8 @@ def step(state: State, inputs: Inputs, arm: ArmConfig, robot: Robot, period_s: f
     if state.phase is Phase.FOUND:
         adopt(s)
     _advance(s)
-    earlier = () if state.powered or not state.last_ticks else (*state.earlier_ticks[2 - MANY :], state.last_ticks)
-    state.earlier_ticks = earlier
+    over = state.powered or not state.last_ticks or inputs.late_ns > LATE_NS
+    state.earlier_ticks = () if over else (*state.earlier_ticks[2 - MANY :], state.last_ticks)
     state.last_ticks = () if None in servos else tuple([servo.position for servo in servos if servo])
     if s.goal is not None:
         s.remember(s.goal.ticks)

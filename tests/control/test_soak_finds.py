@@ -6,7 +6,7 @@ import pytest
 
 from armctl.control.motion import LEAD_TICKS
 from armctl.dynamixel import ax12a
-from armctl.messages import Clear, Command, Connected, Mode, Release, Run, Teach
+from armctl.messages import Clear, Command, Connected, Mode, Release, Run, Teach, TorqueOn
 from tests.control.ideal_arm import IdealArm, energising, holding, line
 
 # 54 deg/s, the limit being 60.
@@ -70,6 +70,22 @@ def test_a_servo_that_restarts_while_a_latched_run_slows_down_gets_no_goal() -> 
     arm.put(4, ax12a.TORQUE_ENABLE, 0)
     assert not arm.goals_in(20)
     assert not arm.get(4, ax12a.TORQUE_ENABLE)
+
+
+def test_torque_comes_on_where_a_shaft_is_after_a_late_tick_not_where_it_was_led_before() -> None:
+    arm = IdealArm().connect()
+    place = arm.get(0, ax12a.PRESENT_POSITION)
+    for off in (5, 9, 6, 8, 5, 9, 6, 8, 9, 6, 7, 11, 7, 3, 3):
+        arm.put(0, ax12a.PRESENT_POSITION, place + off)
+        arm.run_tick()
+    arm.put(0, ax12a.PRESENT_POSITION, place)
+    arm.late_ns = 1_660_000_000
+    arm.run_tick()
+    arm.late_ns = 0
+    for k, off in enumerate((1, 2, 2)):
+        arm.put(0, ax12a.PRESENT_POSITION, place + off)
+        arm.run_tick(*(() if k else (TorqueOn(1),)))
+    assert (arm.mode(), abs(arm.state.goal[0] - (place + 2)) <= 1) == (Mode.ENERGISING, True)
 
 
 def test_an_arm_whose_torque_on_was_interrupted_is_not_taken_for_one_that_holds() -> None:
