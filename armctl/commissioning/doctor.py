@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
+from typing import NamedTuple
 
 from armctl import __version__
 from armctl.commissioning.scan import ALL_IDS, USUAL_BAUDS, FoundServo, Progress, scan
@@ -56,8 +57,7 @@ class Check:
     servo_id: int | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Surroundings:
+class Surroundings(NamedTuple):
     """What the doctor is told instead of asking for it."""
 
     # Where a daemon answers; empty: none.

@@ -7,9 +7,10 @@ costs the control process nothing but dropped records, which are counted.
 
 from __future__ import annotations
 
+import mmap
 import pickle
 import socket
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from armctl.errors import BusError
 
@@ -20,30 +21,31 @@ class LinkClosed(Exception):
     """The other process is gone."""
 
 
-@dataclass(frozen=True, slots=True)
-class Ready:
+class Ready(NamedTuple):
     """The control process owns the port and ticks from now on."""
 
     pid: int
 
 
-@dataclass(frozen=True, slots=True)
-class StartFailed:
+class StartFailed(NamedTuple):
     """The control process could not take the port, and has ended."""
 
     error: BusError
 
 
-@dataclass(frozen=True, slots=True)
-class Beat:
-    """The host is there; said again and again, since a host that hangs does not close its end."""
-
-
-@dataclass(frozen=True, slots=True)
-class StopAsked:
+class StopAsked(NamedTuple):
     """Somebody asked for a stop on its own lane."""
 
     who: str
+
+
+def heartbeat(descriptor: int) -> memoryview:
+    """The one number in a file of 8 bytes: when the host was last there [ns, monotonic], 0 before it ever was.
+
+    A host that hangs does not close its end. To say that it is there wakes nobody, since both processes have the file
+    in their memory.
+    """
+    return memoryview(mmap.mmap(descriptor, 8)).cast("q")
 
 
 class Link:

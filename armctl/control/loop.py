@@ -36,13 +36,13 @@ class ControlLoop:
         self.state = State()
         self._bus, self._clock, self._arm, self._robot = bus, clock, arm, robot
         self._period_s = period_s
-        self._period_ns = round(period_s * NS_PER_S)
-        self._skip_ns = min(SKIP_NS, self._period_ns // 2)
+        self.period_ns = round(period_s * NS_PER_S)
+        self._skip_ns = min(SKIP_NS, self.period_ns // 2)
         self._restarted = restarted
         # Under way until its outcome has been told, and the requests that wait for that.
         self._identification: Identification | None = None
         self._waiting: tuple[Command, ...] = ()
-        self._identify_ns = max(IDENTIFY_NS, round(IDENTIFY_SHARE * self._period_ns))
+        self._identify_ns = max(IDENTIFY_NS, round(IDENTIFY_SHARE * self.period_ns))
         self._tick = 0
         self._deadline_ns = 0
         self._next_open_ns = 0
@@ -79,10 +79,10 @@ class ControlLoop:
         wire = self._bus.port.take_wire()
         record = TickRecord(inputs, outputs, lateness_us, write_us, confirmed, goal_sent, keyframe, dropped, wire)
         self._tick += 1
-        self._deadline_ns += self._period_ns
+        self._deadline_ns += self.period_ns
         behind_ns = end_ns - self._deadline_ns
         if behind_ns > self._skip_ns:
-            self._deadline_ns += -(-behind_ns // self._period_ns) * self._period_ns
+            self._deadline_ns += -(-behind_ns // self.period_ns) * self.period_ns
         return record
 
     def run(

@@ -1,9 +1,9 @@
 """The control process, and the handle its parent holds.
 
-`python -m armctl.control.process FD` takes its settings as the first message on the inherited socket, opens the
-port, and ticks until the socket closes (its host is gone) or SIGTERM arrives. Either way it first lets a motion
+`python -m armctl.control.process FD HEART` takes its settings as the first message on the inherited socket FD, opens
+the port, and ticks until the socket closes (its host is gone) or SIGTERM arrives. Either way it first lets a motion
 come to rest; torque stays as it is. A port that is busy is waited for a little: the holder may be a predecessor
-that is doing just that.
+that is doing just that. HEART is the file of the host's heartbeat.
 
 Importing what the body needs takes longer than all the rest of its start: so that happens in `main`, and the host,
 which holds a handle only, imports other things meanwhile.
@@ -16,13 +16,13 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Self, cast
+from typing import TYPE_CHECKING, NamedTuple, Self, cast
 
 from armctl.clock import NS_PER_S, Clock, MonotonicClock, Stalls, ask_for_real_time
 from armctl.config import ArmConfig
-from armctl.control.link import Beat, Link, LinkClosed, Ready, StartFailed, StopAsked
+from armctl.control.link import Link, LinkClosed, Ready, StartFailed, StopAsked, heartbeat
 from armctl.control.stop_lane import REQUEST_ID, StopLane
 from armctl.errors import BusError, PortBusy
 from armctl.messages import Command, Hold, HostLost, HostSilent, Reply, TickRecord
@@ -40,8 +40,7 @@ STALLED_MOST_NS = NS_PER_S
 BUSY_POLL_NS = NS_PER_S // 10
 
 
-@dataclass(frozen=True, slots=True)
-class ControlSettings:
+class ControlSettings(NamedTuple):
     """What the control process needs to know; no file is read there."""
 
     port: str
@@ -55,23 +54,28 @@ class ControlSettings:
 class ControlProcess:
     """The running control process, as its host sees it."""
 
-    def __init__(self, process: subprocess.Popen[bytes], link: Link) -> None:
-        self._process, self.link = process, link
+    def __init__(self, process: subprocess.Popen[bytes], link: Link, heart: memoryview) -> None:
+        self._process, self.link, self._heart = process, link, heart
 
     @classmethod
     def start(cls, settings: ControlSettings, *, restarted: bool = False) -> Self:
         """Start the process; its first message says whether it owns the port."""
         link, theirs = Link.pair()
-        with theirs:
+        with theirs, os.fdopen(os.memfd_create("armctl-heartbeat"), "r+b") as heart:
+            heart.truncate(8)
             process = subprocess.Popen(
-                [sys.executable, "-m", "armctl.control.process", str(theirs.fileno())],
-                pass_fds=[theirs.fileno(), settings.stop_fd],
+                [sys.executable, "-m", "armctl.control.process", f"{theirs.fileno()}", f"{heart.fileno()}"],
+                pass_fds=[theirs.fileno(), heart.fileno(), settings.stop_fd],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 start_new_session=True,  # Ctrl-C in a terminal is the host's to answer
             )
-        link.send((settings, restarted))
-        return cls(process, link)
+            link.send((settings, restarted))
+            return cls(process, link, heartbeat(heart.fileno()))
+
+    def beat(self) -> None:
+        """Tell it that the host is there."""
+        self._heart[0] = time.monotonic_ns()
 
     def poll(self) -> int | None:
         """Exit status, or None while it runs."""
@@ -100,13 +104,14 @@ class Inbox:
     rest is answered by the tick in which it lies still.
     """
 
-    def __init__(self, link: Link, lane: StopLane, loop: "ControlLoop", clock: Clock) -> None:
+    def __init__(self, link: Link, lane: StopLane, loop: "ControlLoop", clock: Clock, heart: memoryview) -> None:
         # Whether the host is gone, or wants this process to be.
         self.leaving = False
         self._link, self._lane, self._loop, self._clock = link, lane, loop, clock
         self._commands: list[Command] = []
-        # When the host's last word came; 0: none has come yet.
-        self._heard_ns = 0
+        self._heart, self._beat_ns = heart, 0
+        # When the host was last there, 0 before it ever was, and when that was last looked at.
+        self._heard_ns = self._looked_ns = 0
         self._silent = False
         self._stalls = Stalls()
         # Whether a stop of the lane is under way.
@@ -127,24 +132,30 @@ class Inbox:
         if self.leaving:
             return (HostLost(),)
         commands, self._commands = self._commands, []
-        silent_ns = self._clock.now_ns() - self._heard_ns if self._heard_ns else 0
+        silent_ns = self._silent_ns()
         if silent_ns > SILENT_NS:
             silent_ns -= min(self._stalls.since_ns(), STALLED_MOST_NS)
         before, self._silent = self._silent, silent_ns > SILENT_NS
         return (*commands, HostSilent()) if self._silent and not before else commands
 
+    def _silent_ns(self) -> int:
+        """For how long the host was not there; what it said while this process itself hung counts as said now."""
+        now_ns, beat_ns = self._clock.now_ns(), self._heart[0]
+        hung = now_ns - self._looked_ns > SILENT_NS + self._loop.period_ns
+        if beat_ns != self._beat_ns:
+            self._beat_ns, self._heard_ns = beat_ns, now_ns if hung else beat_ns
+            self._stalls.begin()
+        self._looked_ns = now_ns
+        return now_ns - self._heard_ns if self._heard_ns else 0
+
     def _receive(self) -> None:
         try:
-            received = cast("list[Command | Beat]", self._link.receive())
+            received = cast("list[Command]", self._link.receive())
         except LinkClosed:
             self.leaving = True
             return
-        if received:
-            self._heard_ns = self._clock.now_ns()
-            self._stalls.begin()
         for command in received:
-            if not isinstance(command, Beat):
-                self._put(command)
+            self._put(command)
         who = self._lane.receive()
         if who and not self._stopping:
             self._stopping = True
@@ -171,7 +182,7 @@ class Inbox:
         return self._link.send(record)
 
 
-def main(descriptor: int) -> int:
+def main(descriptor: int, heart: int) -> int:
     """Body of the control process."""
     from armctl.control.loop import ControlLoop
     from armctl.dynamixel.bus import ServoBus
@@ -187,7 +198,7 @@ def main(descriptor: int) -> int:
     robot = robots.get(settings.arm.robot, settings.arm.lengths_m)
     loop = ControlLoop(bus, clock, settings.arm, robot, settings.period_s, restarted=restarted)
     lane = StopLane(socket.socket(fileno=settings.stop_fd), clock)
-    inbox = Inbox(link, lane, loop, clock)
+    inbox = Inbox(link, lane, loop, clock, heartbeat(heart))
 
     def leave(_signal: int, _frame: object) -> None:
         inbox.leaving = True
@@ -213,4 +224,4 @@ def main(descriptor: int) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(int(sys.argv[1])))
+    sys.exit(main(*map(int, sys.argv[1:])))

@@ -6,7 +6,6 @@ ticks, percent and degrees stop here.
 
 import math
 import struct
-from dataclasses import dataclass
 from enum import IntFlag
 from typing import NamedTuple
 
@@ -45,8 +44,7 @@ class ErrorBit(IntFlag):
         return tuple(bit.name or "" for bit in cls if error & bit)
 
 
-@dataclass(frozen=True, slots=True)
-class Register:
+class Register(NamedTuple):
     """One entry of the control table."""
 
     name: str

@@ -9,7 +9,6 @@ limit of ROBOTIS' SDK). Both kinds have one shape, so one decoder serves both; w
 an error byte, only the direction tells.
 """
 
-from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -53,8 +52,7 @@ class Packet(NamedTuple):
     parameters: bytes = b""
 
 
-@dataclass(frozen=True, slots=True)
-class BadChecksum:
+class BadChecksum(NamedTuple):
     """Bytes in the shape of a packet whose checksum does not hold."""
 
     raw: bytes

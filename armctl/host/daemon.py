@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from armctl.clock import NS_PER_S, Clock, MonotonicClock
 from armctl.config import ArmConfig, Config
-from armctl.control.link import LinkClosed, Ready, StartFailed, StopAsked
+from armctl.control.link import Link, LinkClosed, Ready, StartFailed, StopAsked
 from armctl.control.process import ControlProcess, ControlSettings
 from armctl.errors import ArmctlError, BusError, ConfigError, RequestRefused
 from armctl.files import data_dir, stop_path
@@ -59,6 +59,8 @@ logger = logging.getLogger(__name__)
 class ControlHandle(Heart, Protocol):
     """A control process as its supervisor needs it."""
 
+    @property
+    def link(self) -> Link: ...
     def poll(self) -> int | None: ...
     def terminate(self, timeout_s: float) -> None: ...
 

@@ -1,15 +1,13 @@
 """Heartbeats between the host and its control process: a process that hangs closes no socket.
 
-Every `BEAT_S` the host says that it is there; a control process that hears nothing for 0.3 s slows the arm down
-(`Inbox` in control/process.py). And every time it looks whether the next tick is overdue: a control process that hangs
-is killed, so that another one adopts the arm.
+Every `BEAT_S` the host says that it is there, in memory that both share (`heartbeat` in control/link.py); a control
+process that hears nothing for 0.3 s slows the arm down (`Inbox` in control/process.py). And every time it looks whether
+the next tick is overdue: a control process that hangs is killed, so that another one adopts the arm.
 """
 
 import asyncio
 import logging
 from typing import Protocol
-
-from armctl.control.link import Beat, Link
 
 BEAT_S = 0.05
 # How much later than its period a tick may come.
@@ -23,8 +21,7 @@ logger = logging.getLogger(__name__)
 class Heart(Protocol):
     """A control process as far as it can hang."""
 
-    @property
-    def link(self) -> Link: ...
+    def beat(self) -> None: ...
     def kill(self) -> None: ...
 
 
@@ -51,7 +48,7 @@ class Pulse:
 async def beat(control: Heart, pulse: Pulse) -> None:
     """Say that the host is there, until a tick is overdue; then end the control process."""
     while not pulse.overdue():
-        control.link.send(Beat())
+        control.beat()
         await asyncio.sleep(BEAT_S)
     logger.error("the control process hangs: no tick came in time; it is killed, and another one adopts the arm")
     control.kill()

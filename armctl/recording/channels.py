@@ -107,8 +107,7 @@ ROSOUT = _topic("/rosout", "rcl_interfaces/Log")
 ROBOT_DESCRIPTION = _topic("/robot_description", "std_msgs/String", latched=True)
 
 
-@dataclass(frozen=True, slots=True)
-class Anchor:
+class Anchor(NamedTuple):
     """One instant in both kinds of time; it turns monotonic into epoch nanoseconds for a whole file."""
 
     wall_ns: int

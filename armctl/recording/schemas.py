@@ -8,8 +8,8 @@ stored in the log (`ros2msg`: the body, then every type it needs) and the codec 
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from armctl.errors import LogError
 
@@ -35,8 +35,7 @@ _TYPE = re.compile(r"(?:[a-z][a-z0-9_]*/)?[A-Za-z][A-Za-z0-9]*\Z")
 _NAME = re.compile(r"[a-z][a-z0-9_]*\Z")
 
 
-@dataclass(frozen=True, slots=True)
-class Field:
+class Field(NamedTuple):
     """One field; `type` is a primitive, `string` or the short name of another message."""
 
     name: str

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from armctl.clock import NS_PER_S, VirtualClock
-from armctl.control.link import Beat, Link, StopAsked
+from armctl.control.link import Link, StopAsked
 from armctl.control.loop import ControlLoop
 from armctl.control.machine import TO_REST, Jogging, Motion, State
 from armctl.control.process import SILENT_NS, Inbox
@@ -56,11 +56,16 @@ class Bench:
         self.lane.bind("")  # any free abstract address
         self.lane.listen()
         self.stop_lane = StopLane(self.lane, self.clock)
-        self.inbox = Inbox(self.ours, self.stop_lane, loop, self.clock)
+        self.heart = memoryview(bytearray(8)).cast("q")
+        self.inbox = Inbox(self.ours, self.stop_lane, loop, self.clock, self.heart)
 
     def close(self) -> None:
         for end in (self.host, self.ours, self.stop_lane):
             end.close()
+
+    def beat(self) -> None:
+        """The host is there."""
+        self.heart[0] = self.clock.now_ns()
 
     def caller(self, line: bytes = b"stop\n") -> socket.socket:
         """Somebody at the stop lane who has said that much."""
@@ -154,8 +159,8 @@ def test_nothing_moves_after_a_hold_that_was_answered_at_once(stopped: bool) -> 
 def test_a_host_that_has_fallen_silent_is_told_to_one_tick(bench: Bench) -> None:
     bench.clock.sleep_until_ns(bench.clock.now_ns() + 10 * SILENT_NS)
     assert bench.inbox.take() == []  # it has never said anything: it is still starting
-    for word in (Beat(), Hold(1)):
-        assert bench.host.send(word)
+    for _ in range(2):
+        bench.beat()
         bench.inbox.take()
         bench.clock.sleep_until_ns(bench.clock.now_ns() + SILENT_NS)
         assert bench.inbox.take() == []
@@ -169,7 +174,7 @@ def test_a_host_on_a_machine_that_stood_still_is_no_more_silent_than_that(bench:
     bench.inbox._stalls = machine.stalls
     told = []
     for stalled in (35, 5, 1000):
-        assert bench.host.send(Beat())
+        bench.beat()
         bench.inbox.take()
         machine.run(stalled, (1,))
         told.append(bench.inbox.take())
@@ -181,10 +186,20 @@ def test_a_host_on_a_machine_that_stood_still_is_no_more_silent_than_that(bench:
     assert told == [[], [], silent, [], [], silent, silent, [], []], "at most a second is made up for"
 
 
-def test_words_that_waited_while_this_process_hung_count_as_heard(bench: Bench) -> None:
-    assert bench.host.send(Beat())
+def test_a_silence_is_counted_from_the_last_word_not_from_the_tick_that_saw_it(bench: Bench) -> None:
     bench.inbox.take()
-    assert bench.host.send(Beat())
+    bench.beat()
+    bench.clock.sleep_until_ns(bench.clock.now_ns() + SILENT_NS)
+    assert bench.inbox.take() == []
+    bench.clock.sleep_until_ns(bench.clock.now_ns() + SOON_NS)
+    assert bench.inbox.take() == (HostSilent(),)
+
+
+def test_what_was_said_while_this_process_hung_counts_as_said_now(bench: Bench) -> None:
+    bench.beat()
+    bench.inbox.take()
+    bench.clock.sleep_until_ns(bench.clock.now_ns() + SOON_NS)
+    bench.beat()
     bench.clock.sleep_until_ns(bench.clock.now_ns() + 10 * SILENT_NS)
     assert bench.inbox.take() == []
 

@@ -10,7 +10,7 @@ import pytest
 
 from armctl.clock import VirtualClock
 from armctl.config import ArmConfig, Config
-from armctl.control.link import Beat, Link, LinkClosed, Ready
+from armctl.control.link import Link, LinkClosed, Ready
 from armctl.dynamixel import ax12a
 from armctl.errors import IllegalTransition, LogError, RequestRefused
 from armctl.host.host import Host
@@ -58,7 +58,7 @@ class IdealControl:
         return taken
 
     def _hear(self) -> None:
-        self._waiting += [word for word in cast("list[Command]", self._theirs.receive()) if not isinstance(word, Beat)]
+        self._waiting += cast("list[Command]", self._theirs.receive())
 
     def say(self, message: object) -> None:
         self._theirs.send(message)
@@ -98,6 +98,9 @@ class IdealControl:
     def die(self) -> None:
         self.alive = False
         self._theirs.close()
+
+    def beat(self) -> None:
+        """It is not told by time here."""
 
     def poll(self) -> int | None:
         return -9
