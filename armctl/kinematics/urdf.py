@@ -6,13 +6,12 @@ Rules.
    it, which is the Denavit-Hartenberg frame i.
 2. Joints beyond the chain (a wrist roll) turn about the x axis of the frame before them and move no tool point.
 3. `tool` is the chain's tool frame: what forward kinematics gives.
-4. Shapes are primitive: what matters is where the frames are.
+4. Shapes are primitive: what matters is where the frames are. No name has a character that XML escapes (`NAME_PATTERN`).
 """
 
 import math
 from collections.abc import Sequence
 from itertools import pairwise
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
@@ -58,7 +57,7 @@ def fixed_frames(arm: ArmConfig, robot: Robot) -> tuple[tuple[str, str, FloatArr
 def urdf(arm: ArmConfig, robot: Robot) -> str:
     """The arm as URDF; joint names and limits from the calibration, frames from the robot's chain."""
     chain, links = robot.chain, moving_links(arm)
-    lines = ['<?xml version="1.0"?>', f"<robot name={quoteattr(arm.arm_id)}>"]
+    lines = ['<?xml version="1.0"?>', f'<robot name="{arm.arm_id}">']
     lines += _link(BASE)
     for index, (parent, link) in enumerate(pairwise((BASE, *links))):
         joint = arm.joints[index]
@@ -76,7 +75,7 @@ def urdf(arm: ArmConfig, robot: Robot) -> str:
             lines += _joint(f"{link}:offset", "fixed", child, link, _frame(F))
         lines += _link(link)
     lines += _joint(f"{TOOL}:offset", "fixed", links[chain.n - 1], TOOL, _frame(_tool_offset(chain)))
-    lines += [f"  <link name={quoteattr(TOOL)}/>", "</robot>", ""]
+    lines += [f'  <link name="{TOOL}"/>', "</robot>", ""]
     return "\n".join(lines)
 
 
@@ -114,9 +113,9 @@ def _frame(T: FloatArray) -> str:
 
 
 def _joint(name: str, kind: str, parent: str, child: str, *lines: str) -> list[str]:
-    ends = f"<parent link={quoteattr(parent)}/><child link={quoteattr(child)}/>"
+    ends = f'<parent link="{parent}"/><child link="{child}"/>'
     inside = [f"    {line}" for line in (ends, *lines)]
-    return [f'  <joint name={quoteattr(name)} type="{kind}">', *inside, "  </joint>"]
+    return [f'  <joint name="{name}" type="{kind}">', *inside, "  </joint>"]
 
 
 def _link(name: str, end: FloatArray | None = None) -> list[str]:
@@ -126,7 +125,7 @@ def _link(name: str, end: FloatArray | None = None) -> list[str]:
         x, y, z = (end / length).tolist()
         rpy = (0.0, math.acos(max(-1.0, min(1.0, z))), math.atan2(y, x))
         shapes.append((end / 2.0, rpy, f'<cylinder radius="{RADIUS_M}" length="{length!r}"/>'))
-    lines = [f"  <link name={quoteattr(name)}>"]
+    lines = [f'  <link name="{name}">']
     for centre, rpy, shape in shapes:
         lines.append(f"    <visual>{_origin(centre, rpy)}<geometry>{shape}</geometry></visual>")
     return [*lines, "  </link>"]
