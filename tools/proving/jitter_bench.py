@@ -36,8 +36,8 @@ IDLE_BOUND_MS = 1.0
 BUSY_BOUND_MS = 5.0
 # As installed: idle, and beside so many busy processes.
 INSTALLED_BOUND_MS, HOGS = (1.0, 2.0), 12
-DAEMON_CPU_BOUND = 0.03
-DAEMON_MEMORY_BOUND_MB = 150.0
+DAEMON_CPU_BOUND = 0.02
+DAEMON_MEMORY_BOUND_MB = 70.0
 
 
 def bench(seed: int, seconds: float = SECONDS, *, installed: bool = False) -> dict[str, Any]:
