@@ -6,7 +6,8 @@ Rules.
    it, which is the Denavit-Hartenberg frame i.
 2. Joints beyond the chain (a wrist roll) turn about the x axis of the frame before them and move no tool point.
 3. `tool` is the chain's tool frame: what forward kinematics gives.
-4. Shapes are primitive: what matters is where the frames are. No name has a character that XML escapes (`NAME_PATTERN`).
+4. Shapes are primitive: what matters is where the frames are.
+5. No name has a character that XML escapes (`NAME_PATTERN` of an arm's file).
 """
 
 import math
