@@ -208,9 +208,12 @@ class Installed:
         return int(self.machine.must("/opt/armctl/bin/python", "-c", COUNT, under_way, word))
 
     def messages(self, topic: str, *, but: Container[str]) -> Iterator[tuple[int, Any]]:
-        """Times [ns] and messages of a topic in all finished logs but some, as mcap-ros2-support reads them."""
+        """Times [ns] and messages of a topic in all finished logs but some, as mcap-ros2-support reads them.
+
+        Beside them stand their index, and copies of the seconds about a fault.
+        """
         for name in self.folder(LOGS):
-            if name not in but:
+            if name.startswith("armctl-") and name.endswith(".mcap") and name not in but:
                 with open(self._inside(f"{LOGS}/{name}"), "rb") as stream:
                     reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
                     for _, _, message, one in reader.iter_decoded_messages(topics=[topic]):

@@ -223,16 +223,17 @@ def _(here: Installed) -> Told:
 
 @story(f"as installed: of {ROUNDS_OF_ONE:,} rounds of readings one is missing at most, and nothing grows")
 def _(here: Installed) -> Told:
-    here.holding()
-    here.machine.must("systemctl", "stop", DAEMON)
-    before = set(here.folder(LOGS))
-    here.machine.must("systemctl", "start", DAEMON)
-    until(lambda: here.state() == "holding", "the daemon", 20.0)
-    time.sleep(0.5 * here.lasts_s)  # its history of two minutes is full by then
-    memory_MB, files = _size(here)
-    time.sleep(0.5 * here.lasts_s)
-    grown_MB, more = (now - then for now, then in zip(_size(here), (memory_MB, files), strict=True))
-    here.machine.must("systemctl", "stop", DAEMON)
+    with here.in_real_time() as how:
+        here.holding()
+        here.machine.must("systemctl", "stop", DAEMON)
+        before = set(here.folder(LOGS))
+        here.machine.must("systemctl", "start", DAEMON)
+        until(lambda: here.state() == "holding", "the daemon", 20.0)
+        time.sleep(0.5 * here.lasts_s)  # its history of two minutes is full by then
+        memory_MB, files = _size(here)
+        time.sleep(0.5 * here.lasts_s)
+        grown_MB, more = (now - then for now, then in zip(_size(here), (memory_MB, files), strict=True))
+        here.machine.must("systemctl", "stop", DAEMON)
     messages = here.messages("/armctl/servos", but=before)
     rounds = [(at_ns, all(servo.fresh for servo in one.servos)) for at_ns, one in messages]
     whole_ns = [at_ns for at_ns, whole in rounds if whole]
@@ -243,7 +244,7 @@ def _(here: Installed) -> Told:
     held = missing <= due // ROUNDS_OF_ONE and grown_MB <= GROWN_MB and more <= 0 and due >= 10.0 * here.lasts_s
     return (
         held,
-        f"{missing} of {due} missing, {memory_MB:.1f} MB and {grown_MB:+.2f}, {files:.0f} files and {more:+.0f}",
+        f"{missing} of {due} missing, {memory_MB:.1f} MB and {grown_MB:+.2f}, {files:.0f} files and {more:+.0f}{how}",
     )
 
 
