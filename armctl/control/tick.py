@@ -384,17 +384,19 @@ class Tick:
         """Where the servos' own speed ramps are by now [tick]: at the last goal, or short of it.
 
         After a late tick the next one comes soon. A goal that then got no more speed than its own way needs would leave
-        the ramp behind for the rest of the motion, and an arm whose program dies would go on for so long.
+        the ramp behind for the rest of the motion, and an arm whose program dies would go on for so long. So would a
+        servo that missed goals; it shows an earlier one.
         """
-        goal, begin = self.state.goal, self.state.ramp
-        if not begin:
+        goal = self.state.goal
+        if not goal:
             return goal
         elapsed_s = (self.inputs.now_ns - self.state.goal_ns) / NS_PER_S
         share = elapsed_s / self.period_s if elapsed_s < IN_TIME * self.period_s else 1.0
         time_s = max(elapsed_s, share * self.period_s)
         now = []
-        for joint, at, tick in zip(self.wire, begin, goal, strict=True):
+        for i, (joint, at, tick) in enumerate(zip(self.wire, self.state.ramp or goal, goal, strict=True)):
             left = abs(tick - at)
             way = min(left * share, joint.speed_limit_rad_s * time_s / ax12a.TICK_RAD)
-            now.append(tick if way >= left else at + math.copysign(way, tick - at))
+            shown = heard.goal if (heard := self.heard(i)) else tick
+            now.append(shown if shown != tick else tick if way >= left else at + math.copysign(way, tick - at))
         return tuple(now)

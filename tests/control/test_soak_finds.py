@@ -6,7 +6,7 @@ import pytest
 
 from armctl.control.motion import LEAD_TICKS
 from armctl.dynamixel import ax12a
-from armctl.messages import Clear, Command, Connected, Mode, Release, Run, Teach, TorqueOn
+from armctl.messages import Clear, Command, Connected, Hold, Mode, Release, Run, Teach, TorqueOn
 from tests.control.ideal_arm import IdealArm, energising, holding, line
 
 # 54 deg/s, the limit being 60.
@@ -38,6 +38,19 @@ def test_a_servo_that_catches_up_lets_the_run_go_on_to_its_end() -> None:
     arm.run_ticks(30)
     assert (arm.mode(), arm.replies[2].ok) == (Mode.HOLDING, True)
     assert arm.get(0, ax12a.PRESENT_POSITION) == round(arm.arm.joints[0].tick(arm.arm.joints[0].rest_rad + FAST_RAD))
+
+
+def test_a_servo_that_missed_goals_gets_the_speed_to_catch_up_as_the_motion_ends() -> None:
+    arm = holding()
+    arm.run_ticks(6, Run(2, line(arm, FAST_RAD, FAST_S)))
+    arm.deaf = {0}
+    arm.run_tick()
+    last = arm.run_tick(Hold(3)).goal
+    assert last is not None
+    left, limit = abs(last.ticks[0] - arm.get(0, ax12a.GOAL)), arm.arm.joints[0].speed_limit_rad_s
+    needed_rad_s = min(left * ax12a.TICK_RAD / arm.period_s, limit)
+    assert left > 24
+    assert ax12a.moving_speed_units(0.95 * needed_rad_s) <= last.speeds[0] <= ax12a.moving_speed_units(limit)
 
 
 @pytest.mark.parametrize(("command", "mode"), [(Teach(2), Mode.TEACHING), (Release(2), Mode.OFF)])
