@@ -245,7 +245,7 @@ def test_14_memory_in_use_counts_and_what_is_given_back_does_not() -> None:
     assert left_mib < 0.1 * held_mib
 
 
-@pytest.mark.parametrize(("grown_mib", "told"), [(3.9, False), (4.2, True)])
+@pytest.mark.parametrize(("grown_mib", "told"), [(2.9, False), (3.2, True)])
 def test_14_a_worker_that_grows_is_told_of(grown_mib: float, told: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     memory_mib = iter((80.0, 80.0 + grown_mib))
     monkeypatch.setattr(soak, "memory_mib", lambda: next(memory_mib))

@@ -162,9 +162,8 @@ class Judge(TorqueJudge):
                 one that this program's next goal replaced before anybody asked the servo is seen by nobody.
         """
         struck_s = math.floor((now_s if asked_s is None else asked_s) / WORLD_STEP_S + SAME_STEP) * WORLD_STEP_S
-        if self._duties.lately(struck_s + SAME_STEP * WORLD_STEP_S, {"echo"}, 0.0) and not self._duties.may_be_forged(
-            now_s
-        ):
+        echoed = self._duties.lately(struck_s + SAME_STEP * WORLD_STEP_S, {"echo"}, 0.0)
+        if echoed and not self._duties.may_be_forged(now_s):
             return  # the host hears itself, unless what it said was cut
         self._heard_s[index], self._told[index] = now_s, position
         if not self._settling():

@@ -45,8 +45,8 @@ SEED = 1
 TWICE_EVERY = 40
 SHRINK_S = 120.0
 MIB_PER_DAY = 1.0
-# Caches, each arm's own, fill after the first episodes too; and pages of which a part is in use cannot be given back.
-SLACK_MIB = 4.0
+# Caches, each arm's own, fill after the first episodes too.
+SLACK_MIB = 3.0
 # Episodes of a worker before its memory counts.
 WARM = 30
 CHUNK = 4
