@@ -387,12 +387,12 @@ class Tick:
         the ramp behind for the rest of the motion, and an arm whose program dies would go on for so long. So would a
         servo that missed goals; it shows an earlier one.
         """
-        goal = self.state.goal
+        goal, wire = self.state.goal, self.wire if self.state.goal else ()
         elapsed_s = (self.inputs.now_ns - self.state.goal_ns) / NS_PER_S
         share = elapsed_s / self.period_s if elapsed_s < IN_TIME * self.period_s else 1.0
         time_s = max(elapsed_s, share * self.period_s)
         now = []
-        for i, (joint, at, tick) in enumerate(zip(self.wire, self.state.ramp or goal, goal, strict=False)):
+        for i, (joint, at, tick) in enumerate(zip(wire, self.state.ramp or goal, goal, strict=True)):
             left = abs(tick - at)
             way = min(left * share, joint.speed_limit_rad_s * time_s / ax12a.TICK_RAD)
             shown = heard.goal if (heard := self.heard(i)) else tick
