@@ -369,28 +369,37 @@ def test_a_click_in_the_picture_writes_the_place_under_it(page: Page) -> None:
     expect(page.locator("#pick-hint")).to_be_hidden()
 
 
+def rise_m(stand: Stand, since_ns: int) -> float:
+    """How far the true tool has risen since then [m]."""
+    height_m = stand.simulator.truth(since_ns, time.monotonic_ns()).tool_m[:, 2]
+    return float(height_m[-1] - height_m[0])
+
+
 @pytest.mark.parametrize("ending", ["the button is let go", "the page is gone"])
 def test_the_tool_is_led_for_as_long_as_somebody_holds_the_button(page: Page, stand: Stand, ending: str) -> None:
     energised(page)
     begin_ns = time.monotonic_ns()
     page.hover("[data-jog=up]")
     page.mouse.down()
-    state(page, "jogging")
-    stand.ticks(1.0)
-    # A machine that is too slow to say how fast, in time for the next tick, has ended it by now, and says so.
-    slow = page.locator("#tool-problem").is_visible()
-    if ending == "the page is gone":
-        page.close()
-    else:
-        page.mouse.up()
     with Client(stand.socket) as client:
-        for snapshot in client.subscribe():
-            if snapshot["state"] == "holding":
-                break
+        snapshots = client.subscribe()
+        jogged = False
+        while rise_m(stand, begin_ns) < 0.001:
+            now = next(snapshots)["state"]
+            jogged = jogged or now == "jogging"
+            if jogged and now == "holding":
+                # A machine too slow to say how fast in time for the next tick has ended it: it is begun again.
+                page.mouse.up()
+                page.mouse.down()
+                jogged = False
+        if ending == "the page is gone":
+            page.close()
+        else:
+            page.mouse.up()
+        while next(snapshots)["state"] != "holding":
+            pass
     held_ns = time.monotonic_ns()
     stand.ticks(1.0)
-    height_m = stand.simulator.truth(begin_ns, held_ns).tool_m[:, 2]
-    assert slow or abs(height_m[-1] - height_m[0]) > 0.0005
     after_m = stand.simulator.truth(held_ns, time.monotonic_ns()).tool_m
     assert abs(after_m - after_m[-1]).max() < 0.003
 
