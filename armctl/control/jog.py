@@ -120,8 +120,10 @@ def _call_back(s: Tick, jog: Jogging) -> None:
     if not any(jog.velocity_rad_s) or since_s > UNDER_WAY * s.period_s or s.state.phase in LATCHED:
         return
     behind = tuple([q - BEHIND_S * v for q, v in zip(jog.position_rad, jog.velocity_rad_s, strict=True)])
-    goal, s.state.following = aimed(s, behind, (0.0,) * len(behind))
-    jog.position_rad = behind
+    goal, following = aimed(s, behind, (0.0,) * len(behind))
+    if share_of_step(s, goal) < 1.0:  # a joint was thrown ahead of its goals
+        return
+    jog.position_rad, s.state.following = behind, following
     s.send_goal(goal, AT_ONCE)
 
 

@@ -6,7 +6,7 @@ written to them; and none is decided while one of them is unheard.
 
 import math
 
-from armctl.control.detect import REST_AHEAD_S, SILENT_AGE_S
+from armctl.control.detect import CLEAN_S, REST_AHEAD_S, SILENT_AGE_S
 from armctl.control.faults import KINDS
 from armctl.control.machine import Motion, Phase, Trigger
 from armctl.control.motion import set_off
@@ -48,6 +48,7 @@ def adopt(s: Tick) -> None:
         return
     # Those that hold are to, and to push against nothing, whatever becomes of the others.
     s.take_over()
+    s.state.lazy_ticks = -s.ticks_in(CLEAN_S)  # they may be on their way to their goals yet
     if tripped:
         s.latch_servo("TRIPPED", tripped[0], "found shut down (torque limit 0) while other servos hold")
     elif not all(powered):

@@ -1,12 +1,14 @@
 """What the soak found in the control step, each as its shortest story."""
 
+import math
 from itertools import pairwise
 
 import pytest
 
+from armctl.control.detect import BEHIND_TICKS
 from armctl.control.motion import LEAD_TICKS
 from armctl.dynamixel import ax12a
-from armctl.messages import Clear, Command, Connected, Hold, Mode, Release, Run, Teach, TorqueOn
+from armctl.messages import Clear, Command, Connected, Hold, Jog, Mode, Release, Run, Teach, TorqueOn
 from tests.control.ideal_arm import IdealArm, energising, holding, line
 
 # 54 deg/s, the limit being 60.
@@ -99,6 +101,29 @@ def test_torque_comes_on_where_a_shaft_is_after_a_late_tick_not_where_it_was_led
         arm.put(0, ax12a.PRESENT_POSITION, place + off)
         arm.run_tick(*(() if k else (TorqueOn(1),)))
     assert (arm.mode(), abs(arm.state.goal[0] - (place + 2)) <= 1) == (Mode.ENERGISING, True)
+
+
+def test_a_servo_found_on_its_way_to_where_somebody_else_led_it_from_says_nothing_of_ramps() -> None:
+    arm, behind = IdealArm().power(), round(BEHIND_TICKS) + 3
+    arm.put(2, ax12a.PRESENT_POSITION, arm.get(2, ax12a.GOAL) - behind)
+    arm.deaf = {2}
+    arm.connect()
+    arm.run_ticks(5, Run(2, line(IdealArm())))
+    assert arm.mode() is Mode.MOVING
+    assert "RAMP_RESTARTS" not in arm.events
+
+
+def test_a_jog_that_ends_calls_no_servo_farther_away_from_where_it_was_thrown() -> None:
+    arm = holding()
+    for tick in range(6):
+        arm.run_tick(Jog(10 + tick, (0.0, 0.0, math.radians(20.0), 0.0, 0.0, 0.0), begin=tick == 0))
+    arm.stuck = {2}
+    before, last = arm.goals[-2][2], arm.goals[-1][2]
+    thrown = last + math.copysign(150, last - before)
+    arm.put(2, ax12a.PRESENT_POSITION, round(thrown))
+    arm.run_ticks(2, Hold(3))
+    assert "JOG_END" in arm.events
+    assert abs(arm.goals[-1][2] - thrown) <= abs(last - thrown)
 
 
 def test_an_arm_whose_torque_on_was_interrupted_is_not_taken_for_one_that_holds() -> None:
