@@ -19,8 +19,8 @@ def demo_command(output: Output, out: Path, seed: int, arm: str) -> int:
     """The whole job on simulated servos, in three to four minutes.
 
     A simulated hand teaches five candidates, the genetic algorithm straightens them, the daemon runs the result through
-    0, 1 and 2 intermediate points: plain, then corrected by what these runs showed of the arm, then refined by a
-    further run. Every log is replayed bit for bit, and a report is written.
+    0, 1 and 2 intermediate points: plain, then corrected by what these runs showed of the arm, then refined by two
+    further runs. Every log is replayed bit for bit, and a report is written.
 
     Another arm goes along the first line that it reaches.
 
@@ -85,9 +85,7 @@ def _ending_all() -> Iterator[None]:
 def show(output: Output, result: dict[str, Any]) -> None:
     from armctl.report.line import PRINTED
 
-    runs = [("corrected" if row["corrected"] else "plain", row) for row in result["rows"]]
-    runs += [("refined", row) for row in result["refined"]]
-    rows = [{**row, "goals": goals, "paper": PRINTED[row["via"]]} for goals, row in runs]
+    rows = [{**row, "paper": PRINTED[row["via"]]} for row in result["rows"]]
     told = result | {"best_take_mm": min(take["mean_error_mm"] for take in result["baseline"])}
     told["ours"] = _seconds(row["duration_s"] for row in rows)
     told["papers"] = _seconds(row["paper"].duration_s for row in rows)

@@ -58,7 +58,7 @@ START_TIMEOUT_S = 20.0
 STOP_TIMEOUT_S = 5.0
 GOALS: tuple[Goals, ...] = get_args(Goals)
 # Further runs of a plan at most, which correct it.
-REFINE = 1
+REFINE = 2
 Ends = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 
@@ -219,7 +219,7 @@ def _learn(rig: DaemonRig, config: Config, runs: list[_Ran], stage: Stage) -> No
     A run in which the arm waited long says nothing of its lag; with none left the daemon goes on foreseeing the lag of
     a new arm.
     """
-    with stage("learning how the arm lags", 1) as show:
+    with stage("learning how it lags", 1) as show:
         seen = [(r.plan, r.measured) for r in runs if not waited_long(r.plan, r.measured.duration_s, rig.period_s)]
         if seen:
             sag_file.save(config, sag_identification.learnt(rig, seen))
@@ -264,7 +264,7 @@ def _finish(
         show(1, "")
     refined = [ran for ran in runs if ran.goals == "refined"]
     return {
-        "rows": [_row(ran) for ran in runs if ran.goals != "refined"],
+        "rows": [_row(ran) for ran in runs],
         "refined": [{**_row(ran), "rounds": ran.answer["rounds"], "plan": ran.answer["plan"]} for ran in refined],
         **{who: {key: value for key, value in optimised[who].items() if key != "tool_m"} for who in ("ga", "exact")},
         "gap_ratio": optimised["gap_ratio"],
@@ -283,6 +283,7 @@ def _row(ran: _Ran) -> dict[str, Any]:
     return {
         "via": plan.via,
         "corrected": ran.goals != "plain",
+        "goals": ran.goals,
         **{key: ran.answer[key] for key in ("mean_error_mm", "max_error_mm", "duration_s")},
         **named(plan, "predicted_mean_error_mm", "predicted_max_error_mm"),
         "truth": {"mean_error_mm": mean_mm, "max_error_mm": max_mm},

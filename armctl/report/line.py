@@ -158,7 +158,7 @@ def write(report: LineReport, path: Path) -> None:
         wanted(report.ends),
         f"{len(report.candidates_m)} hand-guided recordings went into the genetic algorithm; the arm then ran its "
         "result through 0, 1 and 2 intermediate points: plain, with the plan's own positions as goals, then corrected "
-        "by what the plain runs had shown of the arm, then refined by a further run.",
+        "by what the plain runs had shown of the arm, then refined by two further runs.",
         *report.notes,
     )
     colours = dict(zip(dict.fromkeys(run.via for run in report.runs), COLOURS, strict=False))

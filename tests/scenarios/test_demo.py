@@ -28,17 +28,18 @@ def test_demonstration_teaches_optimises_runs_replays_and_reports(tmp_path: Path
     status, result = demonstrated(out)
 
     assert {"exit status": status, "answer": skeleton(result)} == load(FILE)["demonstrated"]["demo"]
-    assert [(row["via"], row["corrected"]) for row in result["rows"]] == [(1, False), (1, True)]
+    assert [(row["via"], row["corrected"]) for row in result["rows"]] == [(1, False), (1, True), (1, True)]
     for row in result["rows"]:
         assert row["duration_s"] == pytest.approx(2.0, abs=0.2)
         assert row["predicted_mean_error_mm"] < 10.0
         assert row["mean_error_mm"] == pytest.approx(row["truth"]["mean_error_mm"], abs=5.0)
-    plain, corrected = (row["truth"]["mean_error_mm"] for row in result["rows"])
+    plain, corrected, _ = (row["truth"]["mean_error_mm"] for row in result["rows"])
     # An AX-12A hangs below its goal under load; a truth without sag would not be one.
     assert 10.0 < plain < 40.0
     assert corrected < 0.25 * plain
     [refined] = result["refined"]
-    assert refined.keys() == result["rows"][0].keys() | {"rounds", "plan"}
+    assert refined == {**result["rows"][-1], **{key: refined[key] for key in ("rounds", "plan")}}
+    assert [row["goals"] for row in result["rows"]] == ["plain", "corrected", "refined"]
     first, *_ = refined["rounds"]
     for key in ("mean_error_mm", "max_error_mm"):  # the corrected row is the refinement's own first run
         assert result["rows"][1][key] == first[key]
@@ -70,7 +71,7 @@ def test_another_arm_is_demonstrated_along_the_first_line_in_its_reach(arm: str,
 
     plan = plan_from_text(Path(result["plan"]).read_text(encoding="utf-8"), result["plan"])
     assert (plan.arm_id, plan.from_m, plan.to_m) == (arm, (0.18, -0.05, high_m), (0.18, 0.05, high_m))
-    plain, corrected = (row["truth"]["mean_error_mm"] for row in result["rows"])
+    plain, corrected, _ = (row["truth"]["mean_error_mm"] for row in result["rows"])
     assert corrected < 0.4 * plain
     assert result["replay"]["mismatches"] == 0
     assert (out / f"{arm}.yaml").is_file()
