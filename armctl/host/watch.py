@@ -12,7 +12,7 @@ from armctl.config import ArmConfig
 from armctl.errors import RequestRefused
 from armctl.kinematics.robots.robot import Robot
 from armctl.messages import JointTrajectory, Reply, TickRecord
-from armctl.trajectory.collision import judged_pairs, link_clearance, link_points
+from armctl.trajectory.collision import floor_clearance, judged_pairs, link_clearance, link_points
 
 # How far ahead of a jog collisions are looked for: heartbeat, stop and then some.
 JOG_LOOK_S = 0.5
@@ -20,6 +20,8 @@ JOG_LOOKS = 11
 SAME_M = 1e-6
 # A joint so near to its limit, or there so soon, stands at it: two ticks of an encoder.
 AT_LIMIT_RAD, AT_LIMIT_S = 0.0102, 0.5
+# So near above the floor the control step leads no link down any more.
+AT_FLOOR_M = 0.0005
 # Of the load asked for: with less the gripper holds nothing, or has lost it.
 HELD_SHARE = 0.5
 # Makes a trajectory from where the joints are told to be [rad]; refuses what must not be run.
@@ -107,7 +109,8 @@ def refuse_to_begin(q_now: Sequence[float], joints_rad_s: Sequence[float], arm: 
 def refuse_collision(q_now: Sequence[float], joints_rad_s: Sequence[float], arm: ArmConfig, robot: Robot) -> None:
     """Look where a jog of the joints leads within `JOG_LOOK_S`; links that overlap already may come apart.
 
-    On the way limits and floor are the control step's; here it is the links that must not touch each other.
+    On the way limits and floor are the control step's; here it is the links that must not touch each other, nor go
+    down where they are at the floor.
 
     Raises:
         RequestRefused: code PREFLIGHT, naming the links.
@@ -118,6 +121,9 @@ def refuse_collision(q_now: Sequence[float], joints_rad_s: Sequence[float], arm:
     here = np.array(q_now[:n])
     ahead = np.clip(here + time_s * np.array(joints_rad_s[:n]), np.minimum(low, here), np.maximum(high, here))
     points = link_points(robot.chain, ahead)
+    low_m = floor_clearance(points[:2], arm.floor_m, radius_m).min(axis=-1)
+    if low_m[1] < low_m[0] < AT_FLOOR_M:
+        raise RequestRefused("PREFLIGHT", "the arm is at the floor, and would go below it; jog another way")
     pairs = judged_pairs(points[0], radius_m)
     gap_m = link_clearance(points, pairs, radius_m)
     closing = (gap_m < np.minimum(gap_m[0], 0.0) - SAME_M).any(axis=0)

@@ -16,7 +16,6 @@ Ticks, outputs, velocities and gravity are the servo's own, counter-clockwise po
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -63,8 +62,7 @@ class Motor(NamedTuple):
     zero_rad: float
 
 
-@dataclass(frozen=True, eq=False)
-class Stretches:
+class Stretches(NamedTuple):
     """From one reading of a servo to the next, m times: arrays of shape (m,) where nothing else is said."""
 
     length_s: FloatArray
@@ -136,8 +134,7 @@ def foretold(
     return np.array([x - begin, v, output(one, sees(ramp) - sees(x))])
 
 
-@dataclass(frozen=True, eq=False)
-class Guess:
+class Guess(NamedTuple):
     """What is usual: masses [kg], and of each joint strength, speed and, if it was seen, delay with its deviation."""
 
     kg: FloatArray

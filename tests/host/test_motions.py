@@ -317,6 +317,24 @@ async def test_a_jog_that_leads_links_into_each_other_is_refused(bench: Bench) -
     assert bench.arm.mode() is Mode.HOLDING
 
 
+async def test_a_jog_that_is_led_to_the_floor_says_why_it_goes_no_farther(bench: Bench) -> None:
+    """Before, it was accepted for as long as somebody asked, and the arm stood still."""
+    down, up = (0.0, -0.35, 0.0, 0.0, 0.0, 0.0), (0.0, 0.35, 0.0, 0.0, 0.0, 0.0)
+
+    async def sink() -> None:
+        for tick in range(400):
+            await bench.beat(bench.anna, turn=down, begin=tick == 0)
+
+    for tick in range(40):
+        await bench.beat(bench.anna, turn=(0.0, 0.0, 0.35, 0.0, 0.0, 0.0), begin=tick == 0)
+    await bench.until(lambda: bench.arm.mode() is Mode.HOLDING)
+    with refused("PREFLIGHT", "the arm is at the floor, and would go below it; jog another way"):
+        await sink()
+    await bench.until(lambda: bench.arm.mode() is Mode.HOLDING)
+    await bench.beat(bench.anna, turn=up, begin=True)
+    assert bench.arm.mode() is Mode.JOGGING
+
+
 async def test_a_jog_that_cannot_begin_names_the_joint_and_its_limit(bench: Bench) -> None:
     """Before, it was accepted, and the arm stood still."""
     for tick in range(120):

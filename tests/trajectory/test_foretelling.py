@@ -1,7 +1,6 @@
 """What a servo does until it is read again: laws of the motion, and numbers that are found from made-up stretches."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -37,7 +36,7 @@ def stretches(m: int = 1, **changes: object) -> Stretches:
         inertia_m2=np.zeros((m, 1)),
         seen=np.zeros((3, m)),
     )
-    return replace(still, **changes)  # type: ignore[arg-type]  # by its fields' names
+    return still._replace(**changes)  # type: ignore[arg-type]  # by its fields' names
 
 
 @given(error=st.floats(-100.0, 100.0), whole=st.integers(-100, 100))
@@ -88,10 +87,10 @@ def test_a_shaft_that_slides_steadily_balances_its_torques(speed: float, load_Nm
 def test_a_goal_moves_nothing_before_its_delay(delay_s: float, from_reference: bool) -> None:
     goal = np.array([[500.0], [600.0]])
     told = stretches(sent_s=np.array([0.004]), goal_tick=goal, from_reference=from_reference)
-    early = replace(told, length_s=np.array([0.002 + delay_s]))
+    early = told._replace(length_s=np.array([0.002 + delay_s]))
     motor = MOTOR._replace(delay_s=delay_s)
     assert foretold(early, NO_KG, motor)[0, 0] == 0.0
-    late = replace(told, length_s=np.array([0.2 + delay_s]), speed_tick_s=np.full((2, 1), 400.0))
+    late = told._replace(length_s=np.array([0.2 + delay_s]), speed_tick_s=np.full((2, 1), 400.0))
     assert foretold(late, NO_KG, motor)[0, 0] > 0.0
 
 
@@ -125,7 +124,7 @@ def test_numbers_are_found_from_what_they_foretold(from_reference: bool, frictio
     noise = rng.normal(0.0, 1.0, (3, m)) * [[0.3], [0.01], [0.01]]
     seen = foretold(made, 0.3 * np.array([1.0, true.zero_rad]), true, place) + noise
     guess = Guess(np.array([0.3]), np.array([1.5]), np.array([6.2]), np.full((2, 1), math.nan))
-    theta, cov = fit(guess, {0: replace(made, seen=seen)})
+    theta, cov = fit(guess, {0: made._replace(seen=seen)})
     kg, motor = guess.means(theta, 0)
     assert kg[0] / motor.stall_Nm == pytest.approx(0.3 / 1.35, rel=0.04)
     assert motor.coulomb_Nm / motor.stall_Nm == pytest.approx(friction_Nm / 1.35, rel=0.05)
