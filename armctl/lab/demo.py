@@ -256,7 +256,7 @@ def _finish(
         gap_ratio=optimised["gap_ratio"],
         best_mm=np.array(optimised["history"]["best_cost_mm"]),
         mean_mm=np.array(optimised["history"]["mean_cost_mm"]),
-        runs=[replace(line_run(chain, ran.plan.via, ran.plan, ran.measured), goals=ran.goals) for ran in runs],
+        runs=[line_run(chain, ran.plan.via, ran.plan, ran.measured)._replace(goals=ran.goals) for ran in runs],
         notes=("Every log was run through the control step again: " + counted.format_map(replayed),),
     )
     with stage("writing the report", 1) as show:

@@ -1,7 +1,6 @@
 """The straight-line report: what was taught, what the optimiser made of it, how straight the arm then moved."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import partial
 from itertools import cycle
 from pathlib import Path
@@ -44,8 +43,7 @@ ALONG, OFF = "along the line, mm", "off the line, mm"
 VIEWS = ((1, "from above: sideways deviation"), (2, "from the side: upward deviation"))
 
 
-@dataclass(frozen=True)
-class LineRun:
+class LineRun(NamedTuple):
     """One execution of one plan; paths in the base frame [m], times from the plan's start [s]."""
 
     # How many, or "stream".
@@ -70,8 +68,7 @@ class LineRun:
         return self.tool_m if self.truth_tool_m is None else self.truth_tool_m
 
 
-@dataclass(frozen=True, eq=False)
-class DrawnOutcome:
+class DrawnOutcome(NamedTuple):
     """What became of one number of via points."""
 
     via: int | str
@@ -87,8 +84,7 @@ class DrawnOutcome:
 Ends = tuple[FloatArray, FloatArray]
 
 
-@dataclass(frozen=True, eq=False)
-class ExperimentReport:
+class ExperimentReport(NamedTuple):
     """Everything the page shows. Parts without data are left out."""
 
     ends: Ends
@@ -104,8 +100,7 @@ class ExperimentReport:
     notes: Sequence[str] = ()
 
 
-@dataclass(frozen=True, eq=False)
-class LineReport:
+class LineReport(NamedTuple):
     """Everything the page shows."""
 
     ends: Ends

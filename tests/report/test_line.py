@@ -2,7 +2,6 @@
 
 import json
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -30,8 +29,8 @@ REPORT = LineReport(
     mean_mm=np.array([8.0, 7.0]),
     runs=[
         *(run(via, path(0.001), path(-0.0123), path(-0.0456)) for via in (0, 2)),
-        *(replace(run(via, path(0.001), path(-0.0011), path(-0.0022)), goals="corrected") for via in (0, 2)),
-        replace(run(2, path(0.001), path(-0.0007), path(-0.0008)), goals="refined"),
+        *(run(via, path(0.001), path(-0.0011), path(-0.0022))._replace(goals="corrected") for via in (0, 2)),
+        run(2, path(0.001), path(-0.0007), path(-0.0008))._replace(goals="refined"),
     ],
 )
 
@@ -68,17 +67,17 @@ def test_the_genetic_algorithm_is_drawn_as_far_as_it_improves_from_the_best_take
     tmp_path: Path,
 ) -> None:
     best_mm = np.array([8.0, 7.0, 7.0, 6.0, *[5.0] * 196])
-    html = page(replace(REPORT, best_mm=best_mm, mean_mm=best_mm + 1.0, exact_mean_mm=5.0), tmp_path)
+    html = page(REPORT._replace(best_mm=best_mm, mean_mm=best_mm + 1.0, exact_mean_mm=5.0), tmp_path)
     assert '"range":[0,10]' in html
     assert not missing(html, "best take", "exact optimum")
     best_mm[30:] = 4.0
-    html = page(replace(REPORT, best_mm=best_mm, mean_mm=best_mm + 1.0, exact_mean_mm=4.0), tmp_path)
+    html = page(REPORT._replace(best_mm=best_mm, mean_mm=best_mm + 1.0, exact_mean_mm=4.0), tmp_path)
     assert '"range":[0,45]' in html
 
 
 def test_without_an_outside_measurement_the_truth_is_left_open(tmp_path: Path) -> None:
-    blind = [replace(one, truth_tool_m=None) for one in REPORT.runs]
-    html = page(replace(REPORT, runs=blind), tmp_path)
+    blind = [one._replace(truth_tool_m=None) for one in REPORT.runs]
+    html = page(REPORT._replace(runs=blind), tmp_path)
     assert (html.count("12.30 / 12.30"), html.count("45.60 / 45.60")) == (2, 0)
 
 

@@ -1,4 +1,3 @@
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -67,6 +66,6 @@ def test_the_page_shows_every_part_and_its_numbers(found: Found, tmp_path: Path)
     shown = [f"<h2>{heading}" for heading in headings] + [f"{found.rows[0]['before_mm']:.2f}"]
     assert not missing(html, *shown, "a note &amp; more", papers_one_point)
     assert html.count('<figure role="img"') == 3 + 1 + 2 + 1 + 2 + 2
-    short = drawn(replace(report, limits=(), fronts=(), best_cost_mm=()), tmp_path / "short.html")
+    short = drawn(report._replace(limits=(), fronts=(), best_cost_mm=()), tmp_path / "short.html")
     assert "What limits the rest" not in short
     assert short.count('<figure role="img"') == 3 + 1 + 1 + 1
