@@ -204,6 +204,7 @@ class Tick:
     def latch(self, code: str, text: str, servo_id: int | None = None) -> bool:
         """Latch a fault, and do what its row in `faults.FAULTS` says; False: it is latched already."""
         state, kind = self.state, KINDS[code]
+        state.connected = state.connected and self.inputs.sample.port_open
         self.found.add(code)
         if kind.motion == "ends" and state.phase in TO_REST & LATCHED:
             self.give_up_rest(code, text)
@@ -223,7 +224,6 @@ class Tick:
             self.go(Trigger.FAULT)
         state.faults = with_fault(state.faults, Fault(code, text, self.inputs.now_ns, servo_id))
         self.look_for_push()
-        state.connected = state.connected and self.inputs.sample.port_open
         return True
 
     # -------------------------------------------------------------------------------- ends of what was under way
@@ -242,10 +242,11 @@ class Tick:
         self.state.looks = (*waiting, *map(Look, sorted(others)))
 
     def finish_motion(self, code: str, text: str) -> None:
-        motion = self.state.motion
+        motion, self.state.motion = self.state.motion, None
         assert motion is not None
         self.reply(motion.request_id, not code, code, text or (f"the motion was stopped ({code})" if code else ""))
-        self.state.motion = None
+        if code and self.state.phase is Phase.FAULT_GOING:  # nobody is against it: the arm sets off again
+            self.go(Trigger.GIVE_UP)
         self._still()
 
     def finish_jog(self, code: str) -> None:
@@ -284,7 +285,7 @@ class Tick:
         self.events.append(Event("warning", code, text))
         self.end_sequence(code, text)
         against = code == "BLOCKED" or (code == "CONTACT" and state.motion is not None)
-        state.stays = state.phase in LATCHED and (against or code not in KINDS)
+        state.stays = state.phase in LATCHED and (against or code not in (*KINDS, "HOST_SILENT"))
         self.go(Trigger.GIVE_UP)
         if state.motion is None and state.phase is Phase.PARK_ENDING:
             self.go(Trigger.STOPPED)
@@ -293,8 +294,7 @@ class Tick:
         """Switch torque off, for as long as it takes until every servo is seen limp (see enforce.py)."""
         state = self.state
         waiting = state.letting_go.request_ids if state.letting_go else ()
-        if request_id is not None:
-            waiting = (*waiting, request_id)
+        waiting += () if request_id is None else (request_id,)
         state.letting_go = LettingGo(self.inputs.now_ns, tuple(range(len(self.wire))), waiting)
         self.forget_goals()
         state.powered, state.looks, state.borne_ratio = False, (), ()

@@ -60,4 +60,4 @@ def approach_trajectory(
 def lowest_link_m(trajectory: JointTrajectory, robot: Robot) -> float:
     """Height [m] of the lowest joint axis or tool point beyond the shoulder during the motion."""
     q = np.array(trajectory.positions_rad)[:, : robot.chain.n]
-    return float(link_frames(robot.chain, q)[..., 2:, 2, 3].min())
+    return float(link_frames(robot.chain, q)[..., min(2, robot.chain.n) :, 2, 3].min())

@@ -67,6 +67,17 @@ def test_unplugging_latches_at_once_and_clears_only_after_replugging() -> None:
     assert arm.events.count("PORT_BACK") == 1
 
 
+def test_a_port_that_goes_again_before_a_clear_is_told_to_be_back_again() -> None:
+    arm = holding()
+    for times in (1, 2):
+        arm.port_open = False
+        arm.run_ticks(3)
+        assert not arm.state.connected
+        arm.port_open = True
+        arm.run_tick(Connected())
+        assert arm.events.count("PORT_BACK") == times
+
+
 def test_a_strain_is_told_while_servos_behind_a_new_port_are_still_asked_who_they_are() -> None:
     arm = holding()
     arm.port_open = False

@@ -5,8 +5,9 @@ from itertools import pairwise
 
 import pytest
 
+from armctl.config import ArmConfig
 from armctl.dynamixel import ax12a
-from armctl.messages import Clear, Hold, Mode, Park, Release, Run, TorqueOn
+from armctl.messages import Clear, Hold, HostSilent, Mode, Park, Release, Run, TorqueOn
 from tests.control.ideal_arm import PERIOD_S, IdealArm, holding, line, running
 
 
@@ -135,6 +136,33 @@ def test_the_way_to_rest_ends_where_a_servo_falls_silent() -> None:
     arm.run_ticks(10)
     assert "SERVO_SILENT" in arm.events
     assert arm.state.motion is None
+
+
+@pytest.mark.parametrize(
+    "trouble", ["another servo gets hot", "the supply dips", "a tick comes late", "the host hangs"]
+)
+def test_trouble_that_only_slows_the_way_to_rest_does_not_end_it_for_good(trouble: str) -> None:
+    arm = strained()
+    if trouble == "a second servo is hot":
+        arm.put(3, ax12a.PRESENT_TEMPERATURE, 66)
+    elif trouble == "the supply dips":
+        arm.put(3, ax12a.PRESENT_VOLTAGE, 85)
+    arm.late_ns = 300_000_000 if trouble == "a tick comes late" else 0
+    arm.run_tick(*[HostSilent()] * (trouble == "the host hangs"))
+    arm.late_ns = 0
+    arm.run_ticks(160)
+    assert at_rest(arm)
+    assert [arm.get(i, ax12a.TORQUE_ENABLE) for i in range(6)] == [0] * 6
+
+
+def test_an_arm_of_one_joint_parks() -> None:
+    dh = {"convention": "standard", "dh": [{"d_m": 0.06, "a_m": 0.1, "alpha_deg": 0.0}]}
+    joint = {"name": "base", "servo_id": 1, "limits_deg": [-140, 140], "rest_deg": 0, "zero_tick": 512, "direction": 1}
+    told = {"arm_id": "turntable", "robot": dh, "joints": [joint], "correction": False}
+    arm = holding(IdealArm(ArmConfig.model_validate(told)))
+    arm.run_ticks(26, Run(90, line(arm, delta_rad=0.3)))
+    arm.run_ticks(60, Park(5))
+    assert (arm.mode(), arm.replies[5].ok) == (Mode.OFF, True)
 
 
 def test_what_was_seen_once_before_a_silence_has_not_lasted() -> None:
