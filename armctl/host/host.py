@@ -130,16 +130,16 @@ class Host:
 
     def client_gone(self, client: Client) -> None:
         """End what the client leaves behind, safely."""
-        lease = self.leases.current
-        if lease is None or lease.client is not client:
-            return
-        lease.lost = True
-        if lease.what in ("jogging", "jog", "teach"):
+        left = [lease for lease in self.leases.held() if lease.client is client]
+        for lease in left:
+            lease.lost = True
+        if left and left[0] is self.leases.current and left[0].what in ("jogging", "jog", "teach"):
             self.leases.current = None  # it would outlast its request
-        if lease.what == "teach":
+        whats = [lease.what for lease in left]
+        if "teach" in whats:
             self._in_background(self._abandon_teaching(client))
-        elif lease.what in MOVING:
-            text = f"the client left during its {lease.what}: hold"
+        if moving := [what for what in whats if what in MOVING]:
+            text = f"the client left during its {moving[0]}: hold"
             self.note({"event": "LEASE_LOST", "who": client.name, "text": text})
             self._in_background(self.stop())
 
@@ -164,7 +164,7 @@ class Host:
     def _background_done(self, task: asyncio.Task[Any]) -> None:
         self._background.discard(task)
         if not task.cancelled() and (error := task.exception()) is not None:
-            logger.warning("after a client left: %s", error)
+            logger.warning("in the background: %s", error)
 
     def note(self, message: dict[str, Any]) -> None:
         """Put something no tick record tells into the log."""
@@ -211,11 +211,9 @@ class Host:
     async def pause(self) -> dict[str, Any]:
         """Bring the run to rest on its path, to be resumed there. Open to every client, as `stop` is.
 
-        Between two runs of a refinement, or two steps of a program, the next one waits.
+        Between two legs, runs of a refinement, or steps of a program, the next one waits.
         """
-        if (lease := self.leases.current) is not None and lease.what in ("run", "program") and self._watch is None:
-            lease.paused = True
-        else:
+        with self.leases.pausing():
             await self.exchange.request(messages.Pause)
         return self.state()
 
@@ -231,6 +229,8 @@ class Host:
         """Run at this many trajectory seconds a second."""
         self.leases.refuse_others(client, "rate")
         await self.exchange.request(partial(messages.SetRate, rate=rate))
+        if (lease := self.leases.current) is not None and lease.what != "run":  # a slow run refines nothing
+            lease.rate = rate
         return {**self.state(), "rate": rate}
 
     async def jog(
@@ -294,7 +294,7 @@ class Host:
                     lease.refuse_if_over()
                     lease.begun, self._watch = True, (watch := Watch())
                     self.exchange.forget_hold()  # a stop from now on is a new one
-                    reply = await self._run_to_its_end(trajectory)
+                    reply = await self._run_to_its_end(trajectory, lease.rate)
                     done.append(Done(trajectory, watch, reply))
                     end_ns = watch.time_ns[-1] + TAIL_NS
                     while len(done) == len(legs) and watch.time_ns[-1] < end_ns:
@@ -328,9 +328,11 @@ class Host:
                 self.notice = ""
             self._model = self.exchange.pid, model
 
-    async def _run_to_its_end(self, trajectory: JointTrajectory) -> Reply:
+    async def _run_to_its_end(self, trajectory: JointTrajectory, rate: float) -> Reply:
         request = asyncio.ensure_future(self.exchange.request(partial(messages.Run, trajectory=trajectory), None))
         try:
+            if rate != 1.0:  # behind the run, in the same tick
+                self._in_background(self.exchange.request(partial(messages.SetRate, rate=rate)))
             before = None
             while not (await asyncio.wait({request}, timeout=STUCK_S))[0]:
                 assert self.latest is not None  # the trajectory begins where it was seen
@@ -371,13 +373,7 @@ class Host:
 
     def log(self) -> dict[str, Any]:
         """Where the log goes, why it does not, and how many ticks the host was too slow for."""
-        recorder = self.recorder
-        return {
-            "path": recorder.log_path and str(recorder.log_path),
-            "problem": recorder.problem,
-            "dropped": self._statistics.dropped,
-            "recorder_dropped": recorder.dropped_records,
-        }
+        return {**self.takes.log(), "dropped": self._statistics.dropped}
 
     def status(self) -> dict[str, Any]:
         """The snapshot every client sees, as of now."""

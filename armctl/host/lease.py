@@ -11,6 +11,8 @@ from typing import Any, Protocol
 from armctl.errors import IllegalTransition, RequestRefused
 
 # What the commander itself may ask while it holds a lasting lease.
+# What has several legs, and waits before the next one if it is paused.
+IN_LEGS = ("run", "play", "reach", "transfer", "program")
 _DURING = {"teach": frozenset({"release", "torque_on", "clear", "park"}), "jogging": frozenset({"jog"})}
 
 
@@ -36,8 +38,12 @@ class Lease:
     stopped: bool = False
     # Whether what is to move next waits for a `resume`.
     paused: bool = False
+    # How fast its legs run, of what was planned.
+    rate: float = 1.0
     # Whether the arm has set off for it.
     begun: bool = False
+    # What is commanded again once it ends, unless its client has gone by then.
+    before: "Lease | None" = None
 
     def refuse_if_over(self) -> None:
         """Refuse to go on for nobody, or after a stop.
@@ -66,17 +72,39 @@ class Leases:
             RequestRefused: code BUSY, naming who commands.
         """
         self.refuse_if_busy(client, what)
-        before, lease = self.current, Lease(client, what)
+        before, lease = self.current, Lease(client, what, before=self.current)
         self.current = lease
         try:
             yield lease
         finally:
             if self.current is lease:
-                self.current = before
+                self.current = None if before is not None and before.lost else before
+
+    @contextmanager
+    def pausing(self) -> Iterator[None]:
+        """Around a request to pause what moves: where nothing moves just now, the next leg waits."""
+        lease = self.current
+        if lease is not None:
+            lease.paused = lease.what in IN_LEGS
+        try:
+            yield
+        except IllegalTransition:
+            if lease is None or not lease.paused:
+                raise
+        else:
+            if lease is not None:
+                lease.paused = False
 
     def keep(self, client: Client, what: str) -> None:
         """From a request on, until `end`, the client commands."""
         self.current = Lease(client, what)
+
+    def held(self) -> Iterator[Lease]:
+        """That of the moment, and those that it came upon."""
+        lease = self.current
+        while lease is not None:
+            yield lease
+            lease = lease.before
 
     def held_by(self, client: Client) -> bool:
         return self.current is not None and self.current.client is client

@@ -31,7 +31,7 @@ from armctl.recording.recordings import describe, drawn, listing
 from armctl.trajectory.bounds import Metre, Point, Radian
 from armctl.trajectory.grasp import GripRequest, ReachRequest
 from armctl.trajectory.plan import Plan, plan_positions, plan_to_text
-from armctl.trajectory.playback import PlayRequest
+from armctl.trajectory.playback import PlayRequest, TaughtMotion
 from armctl.trajectory.program import Program, ProgramRequest
 from armctl.trajectory.reference import error_mm
 from armctl.trajectory.straightness import distance_to_line
@@ -254,11 +254,11 @@ class Methods:
             self._job = None
 
     async def _play(self, client: Connection, p: PlayRequest) -> dict[str, Any]:
-        motion = p.motion
-        if p.name is not None:
-            path = self._path(p.name)
-            motion = await asyncio.to_thread(lambda: recordings.taught(recordings.load(path)))
-        assert motion is not None  # the request has one of the two
+        path = Path() if p.name is None else self._path(p.name)
+
+        def motion() -> TaughtMotion:  # loaded once the client commands: a stop meanwhile, or its leaving, is heard
+            return p.motion or recordings.taught(recordings.load(path))
+
         return await play(self._host, client, motion, p)
 
     async def _optimized(self, paths: tuple[Path, ...], p: RecordedRequest, progress: Progress) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """Motions as clients ask for them: run, path, play, move and transfer, where they go and what they are judged by."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -75,14 +75,14 @@ async def path(host: Host, client: Client, request: PathRequest) -> dict[str, An
     return {"recording": name, **followed([done], wanted[0].reference, host.robot), **predicted}
 
 
-async def play(host: Host, client: Client, motion: TaughtMotion, request: PlayRequest) -> dict[str, Any]:
+async def play(host: Host, client: Client, motion: Callable[[], TaughtMotion], request: PlayRequest) -> dict[str, Any]:
     """Approach slowly and move as was taught, as often as asked for; recorded, and compared with the taught path.
 
     Raises:
         RequestRefused: FOREIGN_LOG, JOINTS, pre-flight (every reason), BUSY, stopped or failed on the way.
         LogError: the recording cannot be made.
     """
-    played = cache(lambda: playback(motion, request.rate, host.arm, host.robot))
+    played = cache(lambda: playback(motion(), request.rate, host.arm, host.robot))
     legs: list[Leg] = [lambda q_now: played().trajectory(q_now, host.period_s)] * request.repeat
     note = {"event": "PLAY", "name": request.name, "rate": request.rate, "repeat": request.repeat}
     name, done = await host.execute(client, "play", legs, note)

@@ -4,7 +4,7 @@ import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from armctl.messages import TickRecord
 
@@ -45,6 +45,15 @@ class Takes:
                 return await asyncio.to_thread(self._recorder.end_take)
             finally:
                 self.name = None
+
+    def log(self) -> dict[str, Any]:
+        """Where the log goes, why it does not, and how many ticks the recorder was too slow for."""
+        of = self._recorder
+        return {
+            "path": of.log_path and str(of.log_path),
+            "problem": of.problem,
+            "recorder_dropped": of.dropped_records,
+        }
 
     @asynccontextmanager
     async def around(self, name: str) -> AsyncIterator[str]:

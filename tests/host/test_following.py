@@ -185,7 +185,9 @@ async def test_a_taught_take_is_played_as_it_was_at_equal_progress() -> None:
     for seed in (0, 2, 3, 7, 9):
         async with on_arm("ax12-line", seed) as bench:
             take, taught_m = await by_hand(bench, seed + 5)
-            result, true = await followed(bench, play(bench.host, bench.anna, take, PlayRequest(motion=take)))
+            result, true = await followed(
+                bench, play(bench.host, bench.anna, take.model_copy, PlayRequest(motion=take))
+            )
             apart = 1e3 * np.linalg.norm(true - due_m(take, taught_m, 1.0, len(true)), axis=1)
             means.append(float(apart.mean()))
             assert apart.max() < 5.0
@@ -200,7 +202,7 @@ async def test_a_take_is_played_twice_at_half_its_speed_into_one_recording() -> 
     async with on_arm("ax12-line", 9) as bench:
         take, _ = await by_hand(bench, 14)
         asked = PlayRequest(motion=take, rate=0.5, repeat=2)
-        result = await bench.served(play(bench.host, bench.anna, take, asked))
+        result = await bench.served(play(bench.host, bench.anna, take.model_copy, asked))
         assert result["duration_s"] == pytest.approx(2.0 * (2.0 * take.duration_s + 0.8), abs=3 * PERIOD_S)
         assert sum("PLAN_BEGIN" in event.code for r in bench.recorder.records for event in r.outputs.events) == 2
         assert len([name for name in bench.recorder.takes if name.startswith("run-play")]) == 1
@@ -226,7 +228,7 @@ async def test_a_gripper_is_played_as_it_was_taught() -> None:
         )
         turned: list[float] = []
         bench.on_tick = lambda _: turned.append(float(bench.simulated.true_positions()[index]))
-        result = await bench.served(play(bench.host, bench.anna, take, PlayRequest(motion=take)))
+        result = await bench.served(play(bench.host, bench.anna, take.model_copy, PlayRequest(motion=take)))
         assert max(turned) - here[index] == pytest.approx(0.3, abs=0.05)
         assert result["max_error_mm"] < 5.0
 
@@ -235,6 +237,8 @@ async def test_a_motion_that_is_too_fast_moves_nothing() -> None:
     async with on_arm("ax12-line", 9) as bench:
         take, _ = await by_hand(bench, 14)
         bench.modes.clear()
-        error = await bench.refused(play(bench.host, bench.anna, take, PlayRequest(motion=take, rate=2.0)), "PREFLIGHT")
+        error = await bench.refused(
+            play(bench.host, bench.anna, take.model_copy, PlayRequest(motion=take, rate=2.0)), "PREFLIGHT"
+        )
         assert re.search(r"rate [01]\.\d+ would do", str(error))
         assert Mode.MOVING not in bench.modes

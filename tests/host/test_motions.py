@@ -15,13 +15,14 @@ from armctl.dynamixel import ax12a
 from armctl.errors import ConfigError, IllegalTransition, LogError
 from armctl.files import load_arm
 from armctl.host import host as host_module
-from armctl.host.motions import move, move_trajectory, run
+from armctl.host.motions import move, move_trajectory, play, run
 from armctl.host.watch import refuse_to_begin
 from armctl.kinematics import robots
 from armctl.kinematics.chain import forward_kinematics, tool_position
 from armctl.kinematics.transform import pose_from_xyz_rpy
 from armctl.messages import Hold, Mode, Run
 from armctl.trajectory.approach import approach_trajectory
+from armctl.trajectory.playback import PlayRequest, TaughtMotion
 from armctl.trajectory.preflight import DrivenArm, preflight_motion
 from armctl.trajectory.target import MoveRequest, postures_at
 from tests.control.ideal_arm import PERIOD_S
@@ -208,6 +209,22 @@ async def test_a_move_is_refused_with_every_reason_before_it_starts(bench: Bench
     assert len(error.reasons) > 2
     await bench.refused(move(bench.host, bench.anna, MoveRequest(joints_rad=(2.6, *here[1:]))), "LIMIT")
     await bench.refused(move(bench.host, bench.anna, MoveRequest(joints_rad=here[:5])), "LIMIT")
+    assert not any(isinstance(command, Run) for command in bench.control.commands)
+
+
+async def test_a_stop_while_what_is_to_be_played_is_loaded_begins_nothing(bench: Bench) -> None:
+    """Before, nobody commanded meanwhile, so that a stop stopped nothing, and the whole motion followed."""
+    here = bench.arm.positions_rad()
+    rows = [tuple(q + 0.1 * k * (joint == 0) for joint, q in enumerate(here)) for k in range(4)]
+    taught = TaughtMotion(joints=bench.host.arm.joint_names, time_s=(0.0, 1.0, 2.0, 3.0), positions_rad=tuple(rows))
+    stops: list[asyncio.Future[dict[str, Any]]] = []
+
+    def loaded() -> TaughtMotion:
+        stops.append(asyncio.ensure_future(bench.host.stop()))
+        return taught
+
+    await bench.refused(play(bench.host, bench.anna, loaded, PlayRequest(name="taught")), "STOPPED")
+    assert await bench.served(stops[0]) == {"state": "holding"}
     assert not any(isinstance(command, Run) for command in bench.control.commands)
 
 

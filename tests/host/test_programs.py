@@ -56,6 +56,14 @@ def check(bench: Bench, folder: Path, steps: list[dict[str, Any]]) -> dict[str, 
 ALL = ["1", "2", "3.1@1", "3.2@1", "3.1@2", "3.2@2"]
 
 
+async def ticks(bench: Bench, count: int) -> None:
+    """Ticks, and what they let happen."""
+    for _ in range(count):
+        bench.tick()
+        for _ in range(5):
+            await asyncio.sleep(0)
+
+
 def notes(bench: HostBench, event: str) -> list[dict[str, Any]]:
     return [note for note in map(json.loads, bench.recorder.notes) if note.get("event") == event]
 
@@ -212,18 +220,49 @@ async def test_an_arm_without_a_gripper_says_so_before_anything_moves(bench: Ben
     assert "has no gripper" in str(await bench.refused(begun(bench, tmp_path, steps), "PREFLIGHT"))
 
 
-async def test_a_program_that_is_paused_between_steps_waits_and_its_wait_takes_no_time(
-    bench: Bench, tmp_path: Path
+@pytest.mark.parametrize("later", range(8))
+async def test_a_program_that_is_paused_at_any_time_after_a_step_goes_on_when_it_is_told_to(
+    bench: Bench, tmp_path: Path, later: int
 ) -> None:
+    """Before, it was refused for half a second after a step, and the next one began."""
+    at = bench.arm.positions_rad()[0]
+    task = begun(bench, tmp_path, [turn(bench, 0.1), turn(bench, 0.2), turn(bench, 0.3)])
+    await bench.until(lambda: bench.arm.mode() is Mode.MOVING)
+    await bench.until(lambda: bench.arm.mode() is Mode.HOLDING)
+    await ticks(bench, later)
+    await bench.served(bench.host.pause())
+    await ticks(bench, 5)
+    stands = bench.arm.positions_rad()
+    await ticks(bench, 60)
+    assert bench.arm.positions_rad() == stands
+    assert stands[0] < at + 0.25
+    await bench.served(bench.host.resume(bench.anna))
+    assert (await bench.served(task))["ended"] is None
+
+
+async def test_a_program_that_is_paused_while_it_waits_takes_no_time(bench: Bench, tmp_path: Path) -> None:
     task = begun(bench, tmp_path, there(bench))
     await bench.until(lambda: bool(notes(bench, "PROGRAM_STEP")) and notes(bench, "PROGRAM_STEP")[-1]["step"] == "2")
-    await bench.host.pause()
-    for _ in range(60):
-        bench.tick()
-        await asyncio.sleep(0)
+    await bench.served(bench.host.pause())
+    await ticks(bench, 60)
     assert runs(bench) == 1
     await bench.host.resume(bench.anna)
     assert (await bench.served(task))["ended"] is None
+
+
+async def test_a_program_keeps_the_rate_that_it_is_given(bench: Bench, tmp_path: Path) -> None:
+    """Before, every step began at full speed again."""
+    task = begun(bench, tmp_path, [turn(bench, 0.1), turn(bench, 0.2)])
+    await bench.until(lambda: bench.arm.mode() is Mode.MOVING)
+    await bench.served(bench.host.rate(bench.anna, 0.5))
+    await bench.until(lambda: runs(bench) == 2)
+    await bench.until(lambda: bench.arm.mode() is Mode.MOVING)
+    rates = set()
+    while not task.done():
+        rates.add(bench.host.status()["rate"])
+        await ticks(bench, 1)
+    assert rates == {0.5, None}
+    assert (await task)["ended"] is None
 
 
 async def test_the_arm_is_the_program_s_and_ends_with_its_client(bench: Bench, tmp_path: Path) -> None:

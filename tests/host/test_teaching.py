@@ -2,11 +2,12 @@
 
 import asyncio
 import json
+from contextlib import suppress
 
 import pytest
 
 from armctl.dynamixel import ax12a
-from armctl.errors import LogError
+from armctl.errors import LogError, RequestRefused
 from armctl.host import teaching
 from armctl.host.motions import run
 from armctl.messages import Mode, TeachEnd
@@ -38,6 +39,22 @@ async def test_takes_belong_to_whoever_teaches(limp: Bench) -> None:
         await limp.refused(work, "ILLEGAL_TRANSITION")
     for work in (host.command(ben, "torque_on"), teaching.begin(host, anna), run(host, anna, limp.plan())):
         await limp.refused(work, "BUSY")
+
+
+@pytest.mark.parametrize("what", ["release", "torque_on", "clear", "park"])
+async def test_a_teacher_who_leaves_during_another_request_locks_nobody_out(limp: Bench, what: str) -> None:
+    """Before, the arm was taught by nobody until the daemon was restarted, and the take went on."""
+    host = limp.host
+    await limp.taking("t")
+    task = asyncio.ensure_future(host.command(limp.anna, what))
+    await asyncio.sleep(0)
+    host.client_gone(limp.anna)
+    with suppress(RequestRefused):
+        await limp.served(task)
+    await limp.until(lambda: limp.arm.mode() in (Mode.OFF, Mode.HOLDING))
+    assert (host.status()["commander"], host.status()["recording"]) == (None, None)
+    await limp.served(host.command(limp.ben, "release"))
+    assert await limp.served(host.command(limp.ben, "torque_on")) == {"state": "holding"}
 
 
 async def test_a_refused_take_is_no_take(limp: Bench) -> None:

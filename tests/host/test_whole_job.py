@@ -53,7 +53,7 @@ async def test_an_arm_is_taught_plays_and_refines_a_line(name: str, tmp_path: Pa
         await bench.served(bench.host.command(bench.anna, "park"))
         await bench.served(bench.host.command(bench.anna, "torque_on"))
 
-        _, true_m = await followed(bench, play(bench.host, bench.anna, take, PlayRequest(motion=take)))
+        _, true_m = await followed(bench, play(bench.host, bench.anna, take.model_copy, PlayRequest(motion=take)))
         assert (1e3 * np.linalg.norm(true_m - due_m(take, taught_m, 1.0, len(true_m)), axis=1)).mean() < 2.5
 
         asked = OptimizeRequest(from_m=A, to_m=B, duration_s=5.0, via=(2,), seed=SEED)
