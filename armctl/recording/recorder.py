@@ -130,7 +130,7 @@ class Recorder:
         """End the take, and return its path when the file is complete; None if none was being recorded.
 
         Raises:
-            LogError: it could not be completed; what was written is kept as a part.
+            LogError: it could not be completed, or ended early; what was written is kept.
         """
         path, self.take_path = self.take_path, None
         if path is None:
@@ -139,9 +139,12 @@ class Recorder:
         self._put(partial(self._files.close, TAKE))
         self._put(done.set)
         completed = done.wait(TAKE_END_S) and path.exists()
-        problem, self._files.take_problem = self.problem or "the disk does not answer", ""
+        early, problem = self._files.take_problem, self.problem or "the disk does not answer"
+        self._files.take_problem = ""
         if not completed:
             raise LogError(f"{path}: the take could not be completed ({problem}); what was written stays as a part")
+        if early:
+            raise LogError(f"{path}: the take ended early ({early}); it holds what came before")
         return path
 
     def close(self) -> None:

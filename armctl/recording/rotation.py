@@ -184,6 +184,7 @@ class Files:
             self._fail(f"LOG_ERROR: {self._folder}: can no longer be written; what is open goes on, nothing new begins")
         elif problem := self._space_problem():
             self._fail(problem)
+            self.take_problem = problem if TAKE in self._open else self.take_problem
             self.close(LOG, TAKE, SNAPSHOT)
             self._retry_ns = self._clock.now_ns() + RETRY_NS
         elif self.log is not None:
