@@ -198,7 +198,7 @@ def trajectory_command(
 
         report.write_trajectory(robot, curves, out)
     # How the tool turns is drawn on the page only.
-    result = {key: values.tolist() for key, values in asdict(curves).items() if "angular" not in key}
+    result = {key: values.tolist() for key, values in curves._asdict().items() if "angular" not in key}
     output.answer(result, lambda: show_curves(output, result, deg, out))
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -40,7 +39,7 @@ def reproduce_command(output: Output, paper: str, out: Path | None, quick: bool,
         report.write(reports, found, page)
     told = ("paper", "equation", "row", "column", "printed", "true", "verdict", "place")
     result: dict[str, Any] = {
-        "rows": [{"paper": made.paper, **asdict(row)} for made in reports for row in made.rows],
+        "rows": [{"paper": made.paper, **row._asdict()} for made in reports for row in made.rows],
         "errata": [{key: getattr(one, key) for key in ("paper", "where", "printed", "true", "proof")} for one in wrong],
         "entries": [{key: getattr(one, key) for key in told} for one in found],
         "page": None if page is None else str(page),

@@ -20,8 +20,8 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import yaml
 
@@ -50,8 +50,7 @@ class InstallationFailed(ArmctlError):
     """An act could not be done; says which, why and what helps."""
 
 
-@dataclass(frozen=True)
-class File:
+class File(NamedTuple):
     """One file below the root as it is to be."""
 
     path: Path
@@ -91,8 +90,7 @@ class File:
         partial.replace(target)
 
 
-@dataclass(frozen=True)
-class Run:
+class Run(NamedTuple):
     """One command of the running system."""
 
     command: tuple[str, ...]

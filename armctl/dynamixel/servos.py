@@ -1,16 +1,15 @@
 """Which servos there are, from the table `servos.yaml`: what tells one model from another."""
 
 import math
-from dataclasses import dataclass
 from importlib import resources
+from typing import NamedTuple
 
 import yaml
 
 DEFAULT = "ax-12a"
 
 
-@dataclass(frozen=True)
-class ServoModel:
+class ServoModel(NamedTuple):
     """One row of the table."""
 
     name: str

@@ -17,8 +17,8 @@ of their mean, where a jump would be too fast, and what two hands do wrong on op
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 
@@ -40,8 +40,7 @@ MAX_RECORDINGS = 40
 MOST_CANDIDATES = 24
 
 
-@dataclass(frozen=True, eq=False)
-class Candidates:
+class Candidates(NamedTuple):
     """R aligned recordings, or means of two, at m stations."""
 
     # Progress of the stations, 0 to 1, shape (m,).

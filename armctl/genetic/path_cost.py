@@ -12,7 +12,7 @@ none keeps them, the fewest and smallest breaks win. With that charge the cost s
 neighbouring genes (`triple_cost.py`), which the genetic algorithm and the exact search (`shortest_path.py`) share.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,8 +21,7 @@ from armctl.kinematics.transform import FloatArray
 from armctl.trajectory.placement import POWER, Objective
 
 
-@dataclass(frozen=True, eq=False)
-class PathCost:
+class PathCost(NamedTuple):
     """Tables over m stations and R recordings."""
 
     # Distance of each gene's tool point to AB, shape (m, R).

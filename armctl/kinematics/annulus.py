@@ -9,7 +9,7 @@ rho < |offset|, on that cylinder. Joint ranges do not count here.
 
 import math
 import sys
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,8 +26,7 @@ def annulus(links_m: tuple[float, ...]) -> tuple[float, float]:
     return max(0.0, 2.0 * max(links_m) - total), total
 
 
-@dataclass(frozen=True)
-class PlaneReach:
+class PlaneReach(NamedTuple):
     """The swept annulus; lengths in metres."""
 
     links_m: tuple[float, ...]

@@ -6,7 +6,7 @@ joint improves it; from many random starts at once the best end is the extent. T
 until nothing moves.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +25,7 @@ SETTLED_M = 1e-15
 GRID_BLOCK = 16
 
 
-@dataclass(frozen=True)
-class ReachabilityMap:
+class ReachabilityMap(NamedTuple):
     """For every point of a grid, which share of the configurations tried there keeps the joint ranges."""
 
     # Shape (m, 3).

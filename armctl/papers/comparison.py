@@ -4,9 +4,8 @@ A `PaperReport` is data; its pictures are drawn only when a page is made.
 """
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,8 +16,7 @@ from armctl.kinematics.transform import FloatArray
 from armctl.report.page import Figure
 
 
-@dataclass(frozen=True)
-class Row:
+class Row(NamedTuple):
     """One quantity of a paper beside armctl's."""
 
     quantity: str
@@ -30,8 +28,7 @@ class Row:
     verdict: str
 
 
-@dataclass(frozen=True)
-class Table:
+class Table(NamedTuple):
     """A table of a paper, recomputed."""
 
     title: str
@@ -40,8 +37,7 @@ class Table:
     caption: str = ""
 
 
-@dataclass(frozen=True)
-class Picture:
+class Picture(NamedTuple):
     """A figure of a paper, redrawn when asked for; those with one title in a row are its parts, side by side."""
 
     title: str
@@ -56,8 +52,7 @@ def pictures(
     return [Picture(title.format(name), description.format(name), partial(draw, *of, name)) for name in names]
 
 
-@dataclass(frozen=True)
-class PaperReport:
+class PaperReport(NamedTuple):
     """Everything about one paper."""
 
     paper: str
@@ -68,8 +63,7 @@ class PaperReport:
     pictures: tuple[Picture, ...] = ()
 
 
-@dataclass(frozen=True)
-class Effort:
+class Effort(NamedTuple):
     """How much is computed."""
 
     # Runs of the genetic algorithm over the grid of 000 in each reading, and every which target of the grid.

@@ -8,7 +8,7 @@ table's cell, and of words, the verdict is a difference beyond rounding.
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -25,8 +25,7 @@ CONFIGURATIONS = 8
 PRINT_OFF, TRUE_OFF = 1e-3, 1e-9
 
 
-@dataclass(frozen=True)
-class Entry:
+class Entry(NamedTuple):
     """An entry of an equation, a cell of a table, or a statement."""
 
     paper: str

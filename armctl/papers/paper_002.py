@@ -4,8 +4,9 @@ Each simulated arm makes the experiments with 0, 1 and 2 intermediate points: fi
 which the genetic algorithm makes one path. Errors are by the encoders, as the paper's are; the true ones stand beside.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -36,8 +37,7 @@ SAGS = "the arm sags, and nothing corrects it; the paper's lengths and load are 
 WHY = ("joints interpolated between the ends bend this line; the paper's line and lengths are not printed", SAGS, SAGS)
 
 
-@dataclass(frozen=True, eq=False)
-class Experiment:
+class Experiment(NamedTuple):
     """One of an arm's three."""
 
     # Mean and maximum distance from the line [mm], shape (len(MEASURES), 2), by the encoders if nothing is said.

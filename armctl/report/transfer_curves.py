@@ -6,9 +6,8 @@ rebuilt from the parameters that the log itself holds, taken to the tool in the 
 """
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import ValidationError
@@ -40,8 +39,7 @@ QUANTITIES = (
 TITLES = {f"{number}: {what} of the paw's midpoint": (what, field, unit) for number, what, field, unit in QUANTITIES}
 
 
-@dataclass(frozen=True, eq=False)
-class Transfer:
+class Transfer(NamedTuple):
     """One recorded cycle and its model, at the same instants."""
 
     log: Path

@@ -31,11 +31,11 @@ import socket
 from bisect import bisect_left, bisect_right
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from itertools import islice
 from operator import itemgetter
 from pathlib import Path
-from typing import Any, Protocol, Self
+from typing import Any, NamedTuple, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,8 +69,7 @@ def control_path(link: Path) -> Path:
     return link.with_name(f"{link.name}.control")
 
 
-@dataclass(frozen=True)
-class Truth:
+class Truth(NamedTuple):
     """What really happened, every 10 ms."""
 
     # Monotonic, shape (m,).

@@ -13,7 +13,7 @@ Rules.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,8 +43,7 @@ SAMPLES = 15
 KNOWN_SIDE = 0.9
 
 
-@dataclass(frozen=True, eq=False)
-class Seen:
+class Seen(NamedTuple):
     """One motion, tick by tick: m ticks from its first goal on, n joints of the chain."""
 
     # When each goal is due [s], shape (m,).
@@ -59,8 +58,7 @@ class Seen:
     fresh: NDArray[np.bool_]
 
 
-@dataclass(frozen=True)
-class Stand:
+class Stand(NamedTuple):
     """Where joints stand [rad], and on which side their friction pushes, as far as that is known."""
 
     at_rad: tuple[float, ...]
@@ -94,16 +92,14 @@ def sums_of(chain: SerialChain, seen: Seen, before: Stand | None, period_s: floa
     return lag.summary(y, at, known), Stand(tuple(wanted[-1].tolist()), tuple(side))
 
 
-@dataclass(frozen=True, eq=False)
-class Experience:
+class Experience(NamedTuple):
     """What is kept of an arm's motions, the oldest first, and how many of them in a row told of a change."""
 
     motions: tuple[Summary, ...] = ()
     strange: int = 0
 
 
-@dataclass(frozen=True, eq=False)
-class Lesson:
+class Lesson(NamedTuple):
     """What one motion more has taught."""
 
     experience: Experience

@@ -12,7 +12,7 @@ Rules.
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -47,8 +47,7 @@ LONGER, TIMES_LONGER = 1.25, 8
 TOLD_ROWS, TOLD_EACH = 2000, 5
 
 
-@dataclass(frozen=True, eq=False)
-class PathMotion:
+class PathMotion(NamedTuple):
     """A motion of the joints along a path, from where the arm is."""
 
     trajectory: JointTrajectory

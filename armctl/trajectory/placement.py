@@ -8,7 +8,7 @@ redundancy is left stays where it was.
 """
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -53,8 +53,7 @@ class StraightMotion:
     objective: Objective = "mix"
 
 
-@dataclass(frozen=True, eq=False)
-class Placement:
+class Placement(NamedTuple):
     """Waypoints [rad], shape (k, n), at progress `knots` (k,), and the distances [m] predicted for them, shape (m,)."""
 
     waypoints: FloatArray

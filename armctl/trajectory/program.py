@@ -10,8 +10,7 @@ Rules.
 """
 
 import re
-from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 from pydantic import Field
 
@@ -106,8 +105,7 @@ class ProgramRequest(Program):
     from_step: str | None = Field(None, max_length=80)
 
 
-@dataclass(frozen=True)
-class Instruction:
+class Instruction(NamedTuple):
     """One step of a program that is written out."""
 
     # What it is called, with its turns; empty: it only leads on.

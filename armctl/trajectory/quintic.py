@@ -7,7 +7,7 @@ With tau = t / duration each joint runs
 whose six coefficients are fixed by the two states. Velocities and accelerations are per second, not per tau.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,8 +17,7 @@ from armctl.kinematics.differential import tool_acceleration, tool_velocity
 from armctl.kinematics.transform import FloatArray
 
 
-@dataclass(frozen=True)
-class Quintic:
+class Quintic(NamedTuple):
     """Coefficients of every joint, shape (6, n), over the fraction of the duration [s]."""
 
     coefficients: FloatArray
@@ -37,8 +36,7 @@ class Quintic:
         return position, velocity / T, acceleration / T**2
 
 
-@dataclass(frozen=True)
-class Curves:
+class Curves(NamedTuple):
     """A joint trajectory and what the tool does in it, sampled."""
 
     time_s: FloatArray

@@ -7,8 +7,7 @@ goes on straight. A line from A to B has two points. There are two distances:
    nothing. For a line it is the distance of Raharjo et al. eq. 19.
 """
 
-from dataclasses import dataclass
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -19,8 +18,7 @@ from armctl.trajectory.interpolate import columns_at
 NEAR_M = 0.015
 
 
-@dataclass(frozen=True, eq=False)
-class ReferencePath:
+class ReferencePath(NamedTuple):
     """Tool points `tool_m` [m], shape (m, 3), due at `progress`, shape (m,), which rises from 0 to 1; m >= 2."""
 
     progress: FloatArray

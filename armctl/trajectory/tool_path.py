@@ -14,9 +14,8 @@ import csv
 import io
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -105,8 +104,7 @@ def _number(text: str, file: str, row: int) -> float:
         raise ConfigError(file, f"row {row}", f"{text!r} is not a number") from None
 
 
-@dataclass(frozen=True, eq=False)
-class _Line:
+class _Line(NamedTuple):
     start: FloatArray
     along: FloatArray
     length_m: float
@@ -119,8 +117,7 @@ class _Line:
         return self.along, self.along
 
 
-@dataclass(frozen=True, eq=False)
-class _Arc:
+class _Arc(NamedTuple):
     """Part of a circle in the plane of two unit vectors: `out` to its begin, and `along`, its direction there."""
 
     centre: FloatArray

@@ -12,8 +12,8 @@ Rules.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -61,8 +61,7 @@ class TransferRequest(Frozen):
             raise ValueError(f"{whole_s:.1f} s in all, at most {LONGEST_S:g} s; ask for fewer cycles, or quicker ones")
 
 
-@dataclass(frozen=True, eq=False)
-class Motion:
+class Motion(NamedTuple):
     """Quintics one after the other: the cycle as the model has it."""
 
     pieces: tuple[Quintic, ...]

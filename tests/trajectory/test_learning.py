@@ -142,7 +142,7 @@ def test_a_joint_whose_friction_may_push_either_way_tells_nothing() -> None:
     seen = a_motion(an_arm(rng), rng)
     still = seen.wanted_rad.copy()
     still[:, 0] = still[0, 0]
-    seen = replace(seen, wanted_rad=still)
+    seen = seen._replace(wanted_rad=still)
     sums, stand = sums_of(CHAIN, seen, None, PERIOD_S)
     assert sums.count[0] == 0
     assert (sums.count[1:] > SAMPLES).all()
@@ -151,7 +151,7 @@ def test_a_joint_whose_friction_may_push_either_way_tells_nothing() -> None:
     sums, stand = sums_of(CHAIN, seen, here, PERIOD_S)
     assert sums.count[0] > SAMPLES
     assert stand.side[0] == -1.0
-    elsewhere = replace(here, at_rad=tuple((still[0] + 0.1).tolist()))
+    elsewhere = here._replace(at_rad=tuple((still[0] + 0.1).tolist()))
     assert sums_of(CHAIN, seen, elsewhere, PERIOD_S)[0].count[0] == 0
 
 
@@ -162,7 +162,7 @@ def test_goals_at_rest_say_from_which_side_the_joint_came_and_teach_nothing() ->
     assert [abs(side) > 0.9 for side in stand.side] == [True] * 5
     more = 10
     longer = {
-        name: np.concatenate([values, np.repeat(values[-1:], more, axis=0)]) for name, values in vars(seen).items()
+        name: np.concatenate([values, np.repeat(values[-1:], more, axis=0)]) for name, values in seen._asdict().items()
     }
     longer["due_s"] = (1.0 + np.arange(TICKS + more)) * PERIOD_S
     longer["read_s"] = np.tile(longer["due_s"][:, None], (1, 5))
@@ -179,6 +179,6 @@ def test_a_servo_that_did_not_answer_tells_nothing() -> None:
     seen = a_motion(an_arm(rng), rng)
     unheard = seen.fresh.copy()
     unheard[:, 3] = False
-    sums, _ = sums_of(CHAIN, replace(seen, fresh=unheard), None, PERIOD_S)
+    sums, _ = sums_of(CHAIN, seen._replace(fresh=unheard), None, PERIOD_S)
     assert sums.count[3] == 0
     assert sums.count[2] > SAMPLES

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from armctl.config import ArmConfig
 from armctl.genetic.algorithm import DEFAULT, Settings
@@ -58,8 +58,7 @@ class Case(Wanted):
         return optimize(self.takes, self.arm, robots.get(self.arm.robot, self.arm.lengths_m), request)
 
 
-@dataclass(frozen=True, eq=False)
-class Found:
+class Found(NamedTuple):
     """What a case gave: rows of numbers, and what a page or file shows beside them."""
 
     rows: list[Row]

@@ -4,8 +4,8 @@ A study is the same work over many cases. All of them begin with one case, which
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from armctl.lab import table_ii
 from armctl.lab.study import arms, ga, limits, pareto
@@ -17,8 +17,7 @@ Rows = Sequence[Row]
 Cases = Sequence[Case]
 
 
-@dataclass(frozen=True)
-class Study:
+class Study(NamedTuple):
     """A row of the table."""
 
     # What the work is called while it is done.

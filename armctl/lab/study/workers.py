@@ -9,8 +9,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from armctl.errors import ArmctlError
 from armctl.host.jobs import NICENESS
@@ -23,8 +22,7 @@ R = TypeVar("R")
 CONNECT_S = 5
 
 
-@dataclass(frozen=True)
-class Workers:
+class Workers(NamedTuple):
     """Who does the work, and who is told how far it is."""
 
     stage: Stage
