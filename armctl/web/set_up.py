@@ -47,6 +47,8 @@ class SetUp:
         self._wizard: Process | None = None
         self._daemon: Process | None = None
         self._following: asyncio.Task[None] | None = None
+        # Held from ending what runs until what takes its place does.
+        self._changing = asyncio.Lock()
         # What was said, a line each: `question`, `answer` or `step`; in the end `error`, or `arm` and `port`.
         self._told: list[dict[str, Any]] = []
 
@@ -63,9 +65,10 @@ class SetUp:
 
     async def begin(self, _: Nothing) -> None:
         """Begin to set an arm up, or go on where it was broken off; one that is being set up here is broken off."""
-        await self.close()
-        self._told, self._wizard = [], await self._program("setup", stdin=PIPE)
-        self._following = asyncio.create_task(self._follow(self._wizard))
+        async with self._changing:
+            await self.close()
+            self._told, self._wizard = [], await self._program("setup", stdin=PIPE)
+            self._following = asyncio.create_task(self._follow(self._wizard))
 
     async def answer(self, body: Answer) -> None:
         """Answer the question that waits; `q` breaks off."""
@@ -77,17 +80,18 @@ class SetUp:
 
     async def start(self, _: Nothing) -> None:
         """Begin to control the arm that was set up."""
-        done = self._told[-1] if self._told else {}
-        if "arm" not in done:
-            raise RequestRefused("NOT_SET_UP", "no arm was set up here yet")
-        await self.close()
-        where = ("--port", done["port"], "--socket", str(self.pages.socket))
-        self._daemon = await self._program("daemon", "--arm", done["arm"], *where)
-        assert self._daemon.stdout is not None
-        told = json.loads(await self._daemon.stdout.readline())
-        if "error" in told:
-            raise RequestRefused("NOT_STARTED", told["error"]["message"])
-        self._files.serve(load_arm(done["arm"]))
+        async with self._changing:
+            done = self._told[-1] if self._told else {}
+            if "arm" not in done:
+                raise RequestRefused("NOT_SET_UP", "no arm was set up here yet")
+            await self.close()
+            where = ("--port", done["port"], "--socket", str(self.pages.socket))
+            self._daemon = await self._program("daemon", "--arm", done["arm"], *where)
+            assert self._daemon.stdout is not None
+            told = json.loads(await self._daemon.stdout.readline())
+            if "error" in told:
+                raise RequestRefused("NOT_STARTED", told["error"]["message"])
+            self._files.serve(load_arm(done["arm"]))
 
     def break_off(self) -> bool:
         """Interrupt the set-up under way; whether there was one."""

@@ -1,7 +1,7 @@
 """The set-up behind the page: a program of its own asks, and the service passes it on."""
 
 import asyncio
-from asyncio.subprocess import Process
+from asyncio.subprocess import PIPE, Process
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -88,3 +88,29 @@ def test_one_that_does_not_hear_that_it_is_interrupted_ends_at_its_next_question
         assert (now["running"], now["told"][-1]["error"]["code"]) == (False, "INTERRUPTED")
 
     asyncio.run(told())
+
+
+@pytest.mark.parametrize("what", ["begin", "start"])
+def test_of_two_that_are_asked_for_at_once_none_is_left_running(
+    set_up: SetUp, monkeypatch: pytest.MonkeyPatch, what: str
+) -> None:
+    begun: list[Process] = []
+
+    async def program(*_: str, **__: object) -> Process:
+        program = ("sh", "-c", "echo {}; read answer")
+        begun.append(await asyncio.create_subprocess_exec(*program, stdin=PIPE, stdout=PIPE))
+        return begun[-1]
+
+    async def left() -> list[Process]:
+        await asyncio.gather(*(getattr(set_up, what)(Nothing()) for _ in range(2)))
+        await set_up.close()
+        found = [one for one in begun if one.returncode is None]
+        for one in found:
+            one.kill()
+            await one.wait()
+        return found
+
+    monkeypatch.setattr(set_up, "_program", program)
+    monkeypatch.setattr(set_up, "_told", [{"arm": "ax12-line", "port": "none"}])
+    assert asyncio.run(left()) == []
+    assert len(begun) == 2
