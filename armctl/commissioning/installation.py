@@ -26,7 +26,7 @@ from typing import NamedTuple
 import yaml
 
 from armctl.commissioning.arm_file import whole_text
-from armctl.config import NAME_PATTERN
+from armctl.config import NAME_PATTERN, Config, parse_yaml, validate
 from armctl.errors import ArmctlError, ConfigError
 from armctl.files import find_arm_file, load_arm, load_config, shipped_dirs
 
@@ -156,8 +156,7 @@ def installation(
         return lambda: any(file.due(SYSTEM) for file in files)
 
     def restart(unit: str) -> Run:
-        files = [units[re.sub("@.*[.]", "@.", unit)], *((configured, calibration) if unit == UNITS[0] else ())]
-        due = changed(*files)
+        due = changed(units[re.sub("@.*[.]", "@.", unit)], *((configured, calibration) if unit == UNITS[0] else ()))
         return Run(("systemctl", "restart", unit), when=lambda: due() or _behind(unit, prefix))
 
     def heard() -> bool:
@@ -171,9 +170,7 @@ def installation(
         calibration,
         rules,
         Run(("udevadm", "control", "--reload"), when=heard),
-        Run(
-            ("udevadm", "trigger", "--action=add", "--subsystem-match=tty", "--subsystem-match=usb-serial"), when=heard
-        ),
+        Run(("udevadm", "trigger", "--action=add", "-s", "tty", "-s", "usb-serial"), when=heard),
         *([Run(join, when=lambda: not _belongs(user))] if user else []),
         *units.values(),
         Run(("systemctl", "daemon-reload"), when=changed(*units.values())),
@@ -211,9 +208,12 @@ def _settings(arm: str | None, root: Path) -> tuple[File, File]:
         raise ConfigError(str(target), "", what, f"to install that one, give it another name, or remove {target}")
     text, keep = f"port: /dev/armctl\narm: {name}\n", True
     if there and arm is not None and there != name:
-        before, keep = path.read_text(encoding="utf-8"), False
-        text, count = re.subn(r"(?m)^arm:.*$", f"arm: {name}", before)
-        text = text if count else f"{before.rstrip()}\narm: {name}\n"
+        before = path.read_text(encoding="utf-8").rstrip() + "\n"
+        text = re.sub(r"(?m)^arm:.*\n|\Z", f"arm: {name}\n", before, count=1)
+        with suppress(ConfigError):
+            keep = validate(Config, parse_yaml(text, str(path)), str(path)).arm != name
+        if keep:  # the file says it in a way of its own
+            raise ConfigError(str(path), "arm", f"{name} cannot be entered here", f"write `arm: {name}` there yourself")
     return File(ETC / "armctl.yaml", text, keep), File(target.relative_to(root), told, keep=True)
 
 
@@ -265,7 +265,7 @@ def unit_text(unit: str, prefix: Path) -> str:
     """A unit that starts the program in `prefix`; some are made of another."""
     source, changes = DERIVED.get(unit, (unit, {}))
     text = template(source)
-    for old, new in {TEMPLATE_PREFIX: str(prefix), **changes}.items():
+    for old, new in {**changes, TEMPLATE_PREFIX: str(prefix)}.items():
         text = text.replace(old, new)
     return text
 
@@ -320,8 +320,7 @@ def usb_adapter(port: Path, sysfs: Path) -> dict[str, str]:
             values = {key: path.read_text().strip() for key, path in found.items() if path.is_file()}
             # A device chooses its own serial number: one that is no plain word does not get into a rule.
             return {key: value for key, value in values.items() if re.fullmatch(r"[A-Za-z0-9._-]+", value)}
-    remedy = "write a udev rule of your own for it, and install without --port"
-    raise ConfigError(str(port), "", "no USB adapter", remedy)
+    raise ConfigError(str(port), "", "no USB adapter", "write a udev rule of your own, and install without --port")
 
 
 def template(name: str) -> str:

@@ -142,6 +142,35 @@ def test_another_arm_is_entered_in_the_configuration_and_nothing_else_of_it_chan
     assert (root / "etc/armctl/calibration/xiang-6dof.yaml").is_file()
 
 
+def test_an_arm_is_added_to_a_configuration_that_names_none(prefix: Path, root: Path) -> None:
+    config = root / "etc/armctl/armctl.yaml"
+    config.parent.mkdir(parents=True)
+    config.write_text("port: /dev/ttyAMA0")
+    due(installation(arm="xiang-6dof", prefix=prefix, root=root), root)
+    assert config.read_text() == "port: /dev/ttyAMA0\narm: xiang-6dof\n"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "{arm: ax12-line, port: /dev/ttyAMA0}\n",
+        '"arm": ax12-line\n',
+        "arm : ax12-line\n",
+        "port: /dev/ttyAMA0\n...\n",
+        "arm: >-\n  ax12-line\n",
+    ],
+)
+def test_a_configuration_in_which_another_arm_cannot_be_entered_is_left_to_its_writer(
+    prefix: Path, root: Path, text: str
+) -> None:
+    config = root / "etc/armctl/armctl.yaml"
+    config.parent.mkdir(parents=True)
+    config.write_text(text)
+    with pytest.raises(ConfigError, match=r"armctl\.yaml: arm: .*write `arm: xiang-6dof` there yourself"):
+        installation(arm="xiang-6dof", prefix=prefix, root=root)
+    assert contents(root) == {"etc/armctl/armctl.yaml": text}
+
+
 def test_a_calibration_that_is_kept_is_not_overwritten_by_another_of_its_name(
     acts: list[Act], prefix: Path, root: Path
 ) -> None:
@@ -161,6 +190,13 @@ def test_a_unit_made_of_another_has_what_is_its_own(unit: str, holds: tuple[str,
     source, changes = module.DERIVED[unit]
     assert all(old in module.template(source) for old in changes)
     assert not missing(module.unit_text(unit, Path("/opt/armctl")), *holds)
+
+
+@pytest.mark.parametrize("unit", [*module.UNITS, *module.DERIVED])
+def test_a_prefix_stands_in_a_unit_as_it_is(unit: str) -> None:
+    prefix = Path("/opt/armctl/armctl.8080")
+    usual = module.unit_text(unit, Path("/opt/armctl"))
+    assert module.unit_text(unit, prefix) == usual.replace("/opt/armctl", str(prefix))
 
 
 def test_a_command_that_fails_is_named_with_its_words() -> None:
