@@ -7,6 +7,7 @@ Rules.
 3. A person has a role: `command`, or `look`, which may look and stop the arm.
 """
 
+import fcntl
 import hashlib
 import hmac
 import json
@@ -15,7 +16,8 @@ import os
 import re
 import secrets
 import shutil
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -108,15 +110,16 @@ def add(path: Path, name: str, role: Role) -> tuple[Person, str]:
     Raises:
         ConfigError: the name is taken or none, or the file cannot be read or written.
     """
-    known = people(path)
     if not re.fullmatch(NAME_PATTERN, name):
         raise ConfigError("armctl web token", "NAME", f"{name[:80]!r} is no name", "letters, digits, '.', '_', '-'")
-    if name == LOCAL or any(one.name == name for one in known):
-        raise ConfigError("armctl web token", "NAME", f"{name} has a token", "revoke it first, or choose another name")
     token = secrets.token_urlsafe(TOKEN_BYTES)
     hashed = hashlib.sha256(token.encode()).hexdigest()
     person = Person(name, role, datetime.now(UTC).isoformat(timespec="seconds"), hashed)
-    _write(path, [*known, person])
+    with _changing(path) as known:
+        if name in (LOCAL, *(one.name for one in known)):
+            remedy = "revoke it first, or choose another name"
+            raise ConfigError("armctl web token", "NAME", f"{name} has a token", remedy)
+        known.append(person)
     return person, token
 
 
@@ -126,26 +129,32 @@ def revoke(path: Path, name: str) -> Person:
     Raises:
         ConfigError: nobody of that name has one, or the file cannot be read or written.
     """
-    known = people(path)
-    for one in known:
-        if one.name == name:
-            _write(path, [other for other in known if other is not one])
-            return one
-    names = ", ".join(one.name for one in known) or "nobody"
-    raise ConfigError("armctl web token", "NAME", f"{name[:80]} has no token", f"who has one: {names}")
+    with _changing(path) as known:
+        for one in known:
+            if one.name == name:
+                known.remove(one)
+                return one
+        names = ", ".join(one.name for one in known) or "nobody"
+        raise ConfigError("armctl web token", "NAME", f"{name[:80]} has no token", f"who has one: {names}")
 
 
-def _write(path: Path, found: list[Person]) -> None:
+@contextmanager
+def _changing(path: Path) -> Iterator[list[Person]]:
+    """Who has a token, to be changed and then kept; whoever else changes it waits."""
     partial = path.with_name(f"{path.name}.part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        private(partial, json.dumps([asdict(one) for one in found], indent=1) + "\n")
-        if os.getuid() == 0:
-            with suppress(LookupError):  # no service here
-                shutil.chown(partial, group=GROUP)
-        partial.replace(path)
-    except OSError as error:
-        raise ConfigError(str(path), "", f"cannot be written: {error.strerror}", "run it with sudo") from None
+    with ExitStack() as held:
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            held.callback(os.close, folder := os.open(path.parent, os.O_RDONLY))
+            fcntl.flock(folder, fcntl.LOCK_EX)
+            yield (found := people(path))
+            private(partial, json.dumps([asdict(one) for one in found], indent=1) + "\n")
+            if os.getuid() == 0:
+                with suppress(LookupError):  # no service here
+                    shutil.chown(partial, group=GROUP)
+            partial.replace(path)
+        except OSError as error:
+            raise ConfigError(str(path), "", f"cannot be written: {error.strerror}", "run it with sudo") from None
 
 
 def private(path: Path, text: str) -> None:

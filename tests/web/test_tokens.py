@@ -1,7 +1,11 @@
 """Who may open the page: people's tokens, kept as hashes, and what each of them opens."""
 
+import fcntl
 import json
+import os
 import stat
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -11,6 +15,7 @@ from hypothesis import strategies as st
 
 from armctl.cli import main
 from armctl.errors import ConfigError
+from armctl.web import tokens as module
 from armctl.web.guard import PERSON, TOKEN_HEADER, WRONG_BURST, Guard
 from armctl.web.tokens import LOCAL, Tokens, add, people, revoke
 from tests.web.asking import TOKEN, asked
@@ -57,6 +62,44 @@ def test_a_name_has_one_token_and_an_unknown_one_is_told_the_known(path: Path) -
         add(path, "ada", "look")
     with pytest.raises(ConfigError, match="who has one: ada"):
         revoke(path, "eve")
+
+
+def test_who_adds_or_revokes_has_the_folder_alone_from_reading_to_writing(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def alone() -> bool:
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+        finally:
+            os.close(folder)
+        return False
+
+    def noted(does: Callable[..., object]) -> Callable[..., object]:
+        def note(*given: object) -> object:
+            seen.append(alone())
+            return does(*given)
+
+        return note
+
+    add(path, "ada", "command")
+    seen: list[bool] = []
+    for name in ("people", "private"):
+        monkeypatch.setattr(module, name, noted(getattr(module, name)))
+    add(path, "linus", "look")
+    revoke(path, "ada")
+    assert seen == [True] * 4
+    assert not alone()
+
+
+def test_of_many_who_are_added_at_once_nobody_is_lost(path: Path) -> None:
+    names = [f"person-{number}" for number in range(8)]
+    with ThreadPoolExecutor(len(names)) as pool:
+        tokens = dict(pool.map(lambda name: (name, add(path, name, "look")[1]), names))
+    assert [one.name for one in people(path)] == names
+    assert [one and one.name for one in map(Tokens(path, TOKEN).who, tokens.values())] == names
 
 
 def test_a_broken_file_opens_nothing_and_the_local_address_still_does(path: Path) -> None:
