@@ -203,16 +203,19 @@ class Files:
 
     def list_logs(self) -> dict[str, Any]:
         """The daemon's logs, the newest first."""
-        found = [(path.stat(), path.name) for path in self._logs.glob("*.mcap*")]
+        found = [(path.stat(), path.name) for path in self._logs.glob("*.mcap*") if _is_log(path)]
         found.sort(key=lambda log: (log[0].st_mtime_ns, log[1]), reverse=True)
         return {"logs": [{"name": name, "bytes": about.st_size} for about, name in found]}
 
     def log(self, name: NamePath, from_s: Seconds = 0.0, to_s: Seconds | None = None) -> dict[str, Any]:
         """Joint angles and the tool of one log over a span of time, thinned out for drawing."""
-        track = load(_log_path(self._logs, name))
+        track, n = load(_log_path(self._logs, name)), self.robot.chain.n
+        if (track.arm_id, track.joint_names[:n]) != (self.arm.arm_id, self.arm.joint_names[:n]):
+            told = f"{name} is of {track.arm_id or 'an unknown arm'} with {', '.join(track.joint_names)}"
+            raise LogError(f"{told}; what is drawn here is {self.arm.arm_id} with {', '.join(self.arm.joint_names)}")
         inside = np.flatnonzero((track.time_s >= from_s) & (track.time_s <= (np.inf if to_s is None else to_s)))
         kept = inside[drawn(len(inside))]
-        tool_m = tool_position(self.robot.chain, track.positions_rad[kept][:, : self.robot.chain.n])
+        tool_m = tool_position(self.robot.chain, track.positions_rad[kept][:, :n])
         return {
             "name": name,
             "names": list(track.joint_names),
@@ -228,7 +231,10 @@ class Files:
 
 
 def _log_path(folder: FilePath, name: str) -> FilePath:
-    path = folder / name
-    if not path.name.endswith((".mcap", ".mcap.part")) or path.is_symlink() or not path.is_file():
+    if not _is_log(path := folder / name):
         raise LogError(f"there is no log {name}")
     return path
+
+
+def _is_log(path: FilePath) -> bool:
+    return path.name.endswith((".mcap", ".mcap.part")) and not path.is_symlink() and path.is_file()

@@ -5,6 +5,7 @@ import json
 import math
 import os
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import httpx
@@ -18,9 +19,11 @@ from armctl.files import load_arm
 from armctl.kinematics import robots
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
+from armctl.recording.recordings import load
 from armctl.web.app import create_app
 from armctl.web.guard import HEADERS, TOKEN_HEADER, Guard
 from tests.web.asking import TOKEN, asked, streamed
+from tests.words import missing
 
 RELEASED = Path(__file__).parent.parent / "recording" / "released"
 PAGES = ("/", "/app.js", "/scene.js", "/three.js", "/style.css", "/icon.svg")
@@ -129,6 +132,29 @@ def test_the_newest_log_comes_first_whatever_its_name(tmp_path: Path) -> None:
         (tmp_path / "logs" / name).touch()
         os.utime(tmp_path / "logs" / name, (1e9 - age_s, 1e9 - age_s))
     assert [log["name"] for log in get(served(tmp_path), "/api/logs").json()["logs"]] == names
+
+
+def test_what_cannot_be_opened_is_not_listed(tmp_path: Path) -> None:
+    (tmp_path / "logs").mkdir()
+    for name in ("armctl-1.mcap", "armctl-2.mcap.part", "armctl-3.mcap.part.broken", "armctl-4.mcapx"):
+        (tmp_path / "logs" / name).touch()
+    (tmp_path / "logs" / "link.mcap").symlink_to("/etc/hostname")
+    listed = [log["name"] for log in get(served(tmp_path), "/api/logs").json()["logs"]]
+    assert sorted(listed) == ["armctl-1.mcap", "armctl-2.mcap.part"]
+
+
+def test_a_log_of_another_arm_is_not_drawn_as_this_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "logs").mkdir()
+    shutil.copy(RELEASED / "0.2.0.mcap", tmp_path / "logs" / "old.mcap")
+    assert get(served(tmp_path), "/api/logs/old.mcap").status_code == 200
+    answer = get(served(tmp_path, "xiang-6dof"), "/api/logs/old.mcap")
+    assert answer.status_code == 404
+    assert not missing(answer.json()["error"]["message"], "of ax12-line with base, ", "is xiang-6dof with waist, ")
+    track = load(RELEASED / "0.2.0.mcap")
+    fewer = replace(track, joint_names=track.joint_names[:3], positions_rad=track.positions_rad[:, :3])
+    monkeypatch.setattr("armctl.web.files.load", lambda _: fewer)
+    answer = get(served(tmp_path), "/api/logs/old.mcap")
+    assert not missing(answer.json()["error"]["message"], "with base, shoulder, elbow; ", "is ax12-line with base, ")
 
 
 def test_a_field_that_does_not_fit_is_named_with_its_bound(guard: Guard) -> None:
