@@ -32,7 +32,7 @@ from armctl.trajectory.playback import PlayRequest
 from armctl.trajectory.target import MoveRequest
 from armctl.web.connections import Connections
 from armctl.web.files import Files, NamePath
-from armctl.web.guard import PERSON, Guard
+from armctl.web.guard import PERSON, Guard, Refused
 from armctl.web.pages import pages
 from armctl.web.set_up import SetUp
 from armctl.web.tokens import Tokens
@@ -106,24 +106,22 @@ def create_app(
 async def _refused(_: Request, error: ArmctlError) -> Response:
     status = next((status for kind, status in STATUSES.items() if isinstance(error, kind)), 409)
     data = error_data(error)  # the socket's codes
-    return _error(status, data["code"], str(error), data["reasons"])
+    return _error(status, data["code"], data["reasons"])
 
 
 async def _invalid(_: Request, error: RequestValidationError) -> Response:
     reasons = [f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}" for fault in error.errors()]
-    return _error(422, "INVALID", "; ".join(reasons), reasons)
+    return _error(422, "INVALID", reasons)
 
 
 async def _not_served(request: Request, error: HTTPException) -> Response:
     code = {404: "NOT_FOUND", 405: "WRONG_METHOD"}.get(error.status_code, "REFUSED")
     reason = f"{request.method} {request.url.path[:100]} is not served; what is stands at /api/openapi.json"
-    return _error(error.status_code, code, reason, [reason], error.headers)
+    return _error(error.status_code, code, [reason], error.headers)
 
 
-def _error(
-    status: int, code: str, message: str, reasons: list[str], headers: Mapping[str, str] | None = None
-) -> Response:
-    return JSONResponse({"error": {"code": code, "message": message, "reasons": reasons}}, status, headers)
+def _error(status: int, code: str, reasons: list[str], headers: Mapping[str, str] | None = None) -> Response:
+    return JSONResponse({"error": {"code": code, "message": "; ".join(reasons), "reasons": reasons}}, status, headers)
 
 
 def _live(daemon: Connections, guard: Guard) -> APIRouter:
@@ -133,15 +131,16 @@ def _live(daemon: Connections, guard: Guard) -> APIRouter:
     async def stream(socket: WebSocket) -> None:
         """Snapshots and progress as they come, after a first message `{"token": "..."}`."""
         await socket.accept()
-        try:
+        said = None
+        with contextlib.suppress(TimeoutError, ProtocolError, KeyError, WebSocketDisconnect):
             async with asyncio.timeout(TOKEN_WAIT_S):
                 said = strict_json((await socket.receive_text()).encode(errors="replace"))
-        except (TimeoutError, ProtocolError, KeyError, WebSocketDisconnect):
-            said = None
         token = said.get("token") if isinstance(said, dict) else None
-        if guard.who(token) is None:
+        try:
+            guard.let_in(token)
+        except Refused as refused:
             with contextlib.suppress(RuntimeError):
-                await socket.close(1008, "the token is missing or wrong")
+                await socket.close(1008, refused.reason.partition(";")[0])
             return
         async with daemon.page() as messages:
             leaving = asyncio.create_task(_left(socket))

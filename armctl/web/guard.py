@@ -109,12 +109,20 @@ class Guard:
         if headers.get("sec-fetch-site", "none") not in ("same-origin", "none"):
             raise Refused(403, "WRONG_ORIGIN", "requests from other sites are not served")
 
+    def let_in(self, token: object) -> Person:
+        """Who says this token.
+
+        Raises:
+            Refused: nobody does, or wrong ones come too fast.
+        """
+        if (person := self.who(token)) is not None:
+            return person
+        if not self._wrong.take(time.monotonic()):
+            raise Refused(429, "RATE_LIMIT", "too many wrong tokens; wait")
+        raise Refused(401, "NO_TOKEN", NO_TOKEN)
+
     def _checked(self, headers: dict[str, str], scope: Scope) -> Person:
-        person = self.who(headers.get(TOKEN_HEADER, ""))
-        if person is None:
-            if not self._wrong.take(time.monotonic()):
-                raise Refused(429, "RATE_LIMIT", "too many wrong tokens; wait")
-            raise Refused(401, "NO_TOKEN", NO_TOKEN)
+        person = self.let_in(headers.get(TOKEN_HEADER, ""))
         if person.role == "look" and scope["method"] not in ("GET", "HEAD") and scope["path"] != "/api/stop":
             raise Refused(403, "LOOK_ONLY", f"{person.name} may look, and stop the arm; `armctl web token` gives roles")
         return person

@@ -7,6 +7,7 @@ import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import httpx
 import numpy as np
@@ -21,7 +22,7 @@ from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
 from armctl.recording.recordings import load
 from armctl.web.app import create_app
-from armctl.web.guard import HEADERS, TOKEN_HEADER, Guard
+from armctl.web.guard import HEADERS, TOKEN_HEADER, WRONG_BURST, Guard
 from tests.web.asking import TOKEN, asked, streamed
 from tests.words import missing
 
@@ -207,6 +208,19 @@ def test_a_stream_without_the_token_is_closed_whatever_was_said(guard: Guard, te
     accepted, closed = streamed(guard, {"type": "websocket.receive", "text": text})
     assert accepted["type"] == "websocket.accept"
     assert (closed["type"], closed["code"]) == ("websocket.close", 1008)
+
+
+def test_wrong_tokens_of_streams_are_counted_with_those_of_requests(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("armctl.web.guard.time", SimpleNamespace(monotonic=lambda: 0.0))  # no allowance comes back
+    guard = served(tmp_path)
+    wrong = {"type": "websocket.receive", "text": json.dumps({"token": "x"})}
+    closed = [streamed(guard, wrong)[-1] for _ in range(int(WRONG_BURST) + 1)]
+    assert {one["code"] for one in closed} == {1008}
+    reasons = ["the token is missing or wrong"] * int(WRONG_BURST) + ["too many wrong tokens"]
+    assert [one["reason"] for one in closed] == reasons
+    assert get(guard, "/api/arm", **{TOKEN_HEADER: "x"}).status_code == 429
 
 
 def test_bytes_are_no_token(guard: Guard) -> None:
