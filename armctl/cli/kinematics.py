@@ -230,13 +230,9 @@ def _target(
     if xyz is not None:
         return point_target(xyz)
     if pose is not None:
-        if len(pose) != 6:
-            raise ConfigError("target", "--pose", f"{len(pose)} numbers", "give x,y,z,roll,pitch,yaw")
         rpy = map(math.radians, pose[3:]) if deg else pose[3:]
         return pose_target(pose_from_xyz_rpy(*pose[:3], *rpy))
     assert matrix is not None
-    if len(matrix) != 16:
-        raise ConfigError("target", "--T", f"{len(matrix)} numbers", "give 16, the 4x4 pose row by row")
     return pose_target(np.array(matrix).reshape(4, 4))
 
 
@@ -263,6 +259,4 @@ def _numbers(values: list[float], digits: int = 6) -> str:
 
 
 def _angles(values: Any, deg: bool) -> str:
-    if deg:
-        return f"{_numbers([math.degrees(value) for value in values], 5)} deg"
-    return f"{_numbers(list(values))} rad"
+    return f"{_numbers([*map(math.degrees, values)], 5)} deg" if deg else f"{_numbers([*values])} rad"

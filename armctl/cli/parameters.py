@@ -34,12 +34,8 @@ def parameters(module: str, command: str) -> list[click.Parameter]:
         command: Its name, and before it that of its group.
     """
     own = tables(module)
-    found: list[click.Parameter] = []
-    for words, about in own.get(command, {}).items():
-        if about == "shared":
-            about = own.get("shared", {}).get(words) or tables("shared")["shared"][words]
-        found.append(parameter(words, about))
-    return found
+    shared = tables("shared")["shared"] | own.get("shared", {})
+    return [parameter(words, shared[words] if row == "shared" else row) for words, row in own.get(command, {}).items()]
 
 
 def parameter(words: str, about: dict[str, Any], **more: Any) -> click.Parameter:
@@ -79,15 +75,13 @@ class Numbers(click.ParamType):  # type: ignore[type-arg]  # generic only in som
     """Numbers with commas or blanks between them.
 
     Args:
-        count: How many; None: any.
+        count: How many; 0: any.
         what: Said where the text is something else.
-        metres: Whether each is a coordinate, at most 10 m from the base.
+        metres: Which of them are coordinates, at most 10 m from the base.
     """
 
-    def __init__(
-        self, count: int | None = None, what: str = "a list of numbers such as 0.1,-0.2,0.3", *, metres: bool = False
-    ) -> None:
-        self.name = "x,y,z" if metres else "a,b,..."
+    def __init__(self, count: int, what: str, metres: slice) -> None:
+        self.name = "x,y,z" if count == 3 else "a,b,..."
         self._count, self._what, self._metres = count, what, metres
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
@@ -98,11 +92,11 @@ class Numbers(click.ParamType):  # type: ignore[type-arg]  # generic only in som
             numbers = tuple(float(part) for part in str(value).replace(",", " ").split())
         except ValueError:
             fail(f"{value!r} is not {self._what}")
-        if self._metres and not all(math.isfinite(number) and abs(number) <= 10.0 for number in numbers):
+        if not all(math.isfinite(number) and abs(number) <= 10.0 for number in numbers[self._metres]):
             fail(f"{value!r}: each coordinate must be finite and within 10 m (the unit is metres)")
         if not numbers or not all(map(math.isfinite, numbers)):
             fail(f"{value!r}: the numbers must be finite")
-        if self._count is not None and len(numbers) != self._count:
+        if self._count and len(numbers) != self._count:
             fail(f"{value!r} is not {self._what}: it has {len(numbers)} numbers, not {self._count}")
         return numbers
 
@@ -173,7 +167,7 @@ def via_counts(text: str) -> tuple["Via", ...]:
     return tuple(found)
 
 
-POINT = Numbers(3, "three numbers x,y,z in metres, such as 0.18,-0.125,0.10", metres=True)
+POINT = Numbers(3, "three numbers x,y,z in metres, such as 0.18,-0.125,0.10", slice(3))
 KINDS: dict[str, Any] = {
     "int": click.INT,
     "float": click.FLOAT,
@@ -183,8 +177,9 @@ KINDS: dict[str, Any] = {
     "new file": NewFile(path_type=Path, dir_okay=False, writable=True),
     "folder": click.Path(path_type=Path, file_okay=False),
     "point": POINT,
-    "pose": Numbers(6, "six numbers x,y,z,roll,pitch,yaw"),
-    "numbers": Numbers(),
+    "pose": Numbers(6, "six numbers x,y,z,roll,pitch,yaw", slice(3)),
+    "matrix": Numbers(16, "a 4x4 pose row by row", slice(3, 12, 4)),
+    "numbers": Numbers(0, "a list of numbers such as 0.1,-0.2,0.3", slice(0)),
     "length": click.types.FuncParamType(length),
     "via": click.types.FuncParamType(via_counts),
 }
