@@ -5,6 +5,7 @@ not wait for a plotting library.
 """
 
 import importlib
+import sys
 from collections.abc import Sequence
 
 import click
@@ -36,8 +37,7 @@ class _Commands(click.Group):
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         for purpose, names in PURPOSES.items():
-            commands = [(name, self.get_command(ctx, name)) for name in names]
-            rows = [(name, command.get_short_help_str(SUMMARY)) for name, command in commands if command is not None]
+            rows = [(name, one.get_short_help_str(SUMMARY)) for name in names if (one := self.get_command(ctx, name))]
             with formatter.section(purpose):
                 formatter.write_dl(rows)
 
@@ -65,12 +65,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns:
         The exit status: 0 done, 1 refused or failed, 2 wrong usage, 3 no daemon, 130 interrupted by Ctrl-C.
     """
-    output = Output()
+    output, arguments = Output(), sys.argv[1:] if argv is None else list(argv)
     try:
-        arguments = list(argv) if argv is not None else None
         result = cli.main(arguments, prog_name="armctl", obj=output, standalone_mode=False)
     except click.ClickException as error:
         error.show()
+        output.json |= "--json" in arguments  # what was read may end before it
+        text, context = error.format_message(), getattr(error, "ctx", None)
+        output.refused("USAGE", text, [text], f"{context.command_path if context else 'armctl'} --help")
         return error.exit_code
     except (click.Abort, KeyboardInterrupt):
         output.interrupted()
@@ -78,6 +80,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except ArmctlError as error:
         output.failure(error)
         return error.exit_status
-    except BrokenPipeError:
+    except OSError as error:  # stdout is full, for one
+        output.failure(ArmctlError(str(error)))
         return 1
     return result if isinstance(result, int) else 0

@@ -17,9 +17,9 @@ _ARROWS = {b"D": "left", b"C": "right", b"A": "up", b"B": "down"}
 _ESCAPES = {begin + letter: name for letter, name in _ARROWS.items() for begin in (b"\x1b[", b"\x1bO")}
 
 
-def attended(stream: TextIO) -> bool:
+def attended(stream: TextIO | None) -> bool:
     """Whether a person can be asked at `stream`: it is a terminal, and this process is in its foreground."""
-    return stream.isatty() and _in_foreground(stream.fileno())
+    return stream is not None and stream.isatty() and _in_foreground(stream.fileno())
 
 
 def _in_foreground(fd: int) -> bool:
@@ -69,10 +69,10 @@ class TerminalKeys:
 
 
 @contextmanager
-def keys(stream: TextIO) -> Iterator[TerminalKeys]:
+def keys(stream: TextIO | None) -> Iterator[TerminalKeys]:
     """The keys of `stream`, none if it is no terminal; its mode is put back afterwards."""
-    pressed = TerminalKeys(stream.fileno() if stream.isatty() else None)
-    if attended(stream):
+    pressed = TerminalKeys(stream.fileno() if stream is not None and stream.isatty() else None)
+    if stream is not None and attended(stream):
         termios.tcflush(stream, termios.TCIFLUSH)  # what was typed before was not meant for this
     try:
         yield pressed

@@ -173,13 +173,18 @@ class Output:
             text += f"\n  next: {following}"
         self.warn(text)
         reasons = list(getattr(error, "reasons", [str(error)]))
-        self.result({"error": {"code": code, "message": str(error), "reasons": reasons, "next": following}})
+        self.refused(code, str(error), reasons, following)
 
     def interrupted(self) -> None:
         """Tell that Ctrl-C ended the command, and what is now."""
         text = "interrupted" + (f": {self.after_interrupt}" if self.after_interrupt else "")
         self.warn(text)
-        self.result({"error": {"code": "INTERRUPTED", "message": text, "reasons": [text], "next": "armctl status"}})
+        self.refused("INTERRUPTED", text, [text], "armctl status")
+
+    def refused(self, code: str, message: str, reasons: list[str], following: str) -> None:
+        """Print what a program is told of a failure, if it can be: the failure may be that of stdout."""
+        with suppress(OSError):
+            self.result({"error": {"code": code, "message": message, "reasons": reasons, "next": following}})
 
     @contextmanager
     def progress(self, label: str, total: float) -> Iterator[Callable[..., None]]:

@@ -4,6 +4,8 @@ import json
 import re
 import shlex
 from collections.abc import Iterator
+from errno import ENOSPC
+from io import StringIO
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
@@ -11,7 +13,9 @@ from unittest.mock import Mock
 import click
 import pytest
 
+from armctl.__main__ import main as started
 from armctl.cli import PURPOSES, cli, main
+from armctl.cli.keys import keys
 from armctl.cli.output import HOLDS, Output, next_command
 from armctl.cli.parameters import POINT
 from armctl.errors import ArmctlError, BusError, ConfigError, LogError, NoDaemon, RequestRefused, UnreachableTarget
@@ -237,6 +241,48 @@ def test_every_command_explains_itself_within_80_columns_and_can_answer_in_json(
 def test_a_failure_in_json_is_one_object_too(typed: Typed, answer: Answer) -> None:
     assert answer("status", status=3)["error"]["code"] == "NoDaemon"
     assert typed("status", "--json", status=3).err.startswith("armctl: ")
+
+
+@pytest.mark.parametrize(("line", "words", "following"), [
+    ("nonsense", "No such command 'nonsense'", "armctl --help"),
+    ("log", "No such option '--json'", "armctl log --help"),
+    ("teach", "Missing argument 'NAME'", "armctl teach --help"),
+    ("rate 1.5", "range", "armctl rate --help"),
+    ("calibrate", "give one of --points", "armctl calibrate --help"),
+])  # fmt: skip
+def test_wrong_usage_in_json_is_one_object_too(line: str, words: str, following: str, answer: Answer) -> None:
+    error = answer(*line.split(), status=2)["error"]
+    assert words in error["message"]
+    assert error == {"code": "USAGE", "message": error["message"], "reasons": [error["message"]], "next": following}
+
+
+@pytest.mark.parametrize(("line", "status", "words"), [
+    ("robots", 1, "No space left on device"),
+    ("robots --json", 1, "No space left on device"),
+    ("status --json", 3, "no daemon answers"),
+    ("nonsense --json", 2, "No such command"),
+])  # fmt: skip
+def test_an_answer_for_which_there_is_no_room_is_a_sentence(
+    line: str, status: int, words: str, monkeypatch: pytest.MonkeyPatch, typed: Typed
+) -> None:
+    full = StringIO()
+    monkeypatch.setattr(full, "write", Mock(side_effect=OSError(ENOSPC, "No space left on device")))
+    monkeypatch.setattr("sys.stdout", full)
+    assert words in typed(*line.split(), status=status).err
+    assert full.write.called  # type: ignore[attr-defined]  # the disk that is full
+
+
+def test_who_is_interrupted_while_it_starts_ends_quietly(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.argv", ["armctl", "robots"])
+    monkeypatch.setattr("armctl.cli.main", Mock(side_effect=KeyboardInterrupt))
+    assert started() == 130
+
+
+def test_who_closed_stdin_has_no_keys(monkeypatch: pytest.MonkeyPatch, typed: Typed) -> None:
+    monkeypatch.setattr("sys.stdin", None)
+    assert "nobody can be asked" in typed("teach", "x", status=1).err
+    with keys(None) as pressed:
+        assert pressed.wait(0.0) == ""
 
 
 @pytest.mark.parametrize(("status", "line", "text"), refusals("anywhere"))
