@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import sys
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -115,7 +114,7 @@ def _onto_sim(output: Output, log: Path, foreign: bool, seed: int) -> int:
         told += f"\nslowed down by {result.stretched_s:.1f} s, where the log is faster than this arm may be"
     if result.clipped_rad > 0.01:
         told += f"\nkept inside the limits, up to {math.degrees(result.clipped_rad):.1f} deg from the log"
-    output.answer(asdict(result), told)
+    output.answer(result._asdict(), told)
     return 0
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -100,7 +99,7 @@ def mend_command(output: Output, servo: str) -> None:
     with opened(output) as bus:
         changed = mend(bus, [one for one in arm.servos if one.servo_id in servo_ids])
     shown = partial(show_differences, output, changed, "now", "was")
-    output.answer({"mended": [asdict(it) for it in changed]}, shown if changed else "nothing to mend")
+    output.answer({"mended": [it._asdict() for it in changed]}, shown if changed else "nothing to mend")
 
 
 @command("set", *WIRING, group=servo_command)
@@ -154,7 +153,7 @@ def eeprom_diff(output: Output, file: Path) -> int:
     with opened(output) as bus:
         found = differences(bus, snapshot)
     shown = partial(show_differences, output, found, "file", "servo")
-    output.answer({"differences": [asdict(difference) for difference in found]}, shown if found else "no difference")
+    output.answer({"differences": [difference._asdict() for difference in found]}, shown if found else "no difference")
     return 1 if found else 0
 
 
@@ -169,7 +168,7 @@ def eeprom_restore(output: Output, file: Path, servos: tuple[int, ...]) -> None:
     snapshot = load(file)
     with opened(output) as bus:
         changed = restore(bus, snapshot, servos)
-    if not output.result({"restored": [asdict(difference) for difference in changed]}):
+    if not output.result({"restored": [difference._asdict() for difference in changed]}):
         show_differences(output, changed, "now", "was")
         output.say(f"{len(changed)} registers restored")
 

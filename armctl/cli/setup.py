@@ -226,7 +226,7 @@ def doctor_command(output: Output) -> int:
             checks += doctor.check_servos(
                 bus, arm, config.period_s, surroundings, lambda _baud, done, _all: show(float(done))
             )
-    output.answer({"checks": [asdict(check) for check in checks]}, partial(show_checks, output, checks))
+    output.answer({"checks": [check._asdict() for check in checks]}, partial(show_checks, output, checks))
     return 0 if all(check.ok for check in checks) else 1
 
 

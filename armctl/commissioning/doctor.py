@@ -13,7 +13,6 @@ import shutil
 import sys
 import tomllib
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 from typing import NamedTuple
@@ -45,8 +44,7 @@ CYCLE_SHARE = 0.5
 REMEDIES = tomllib.loads(Path(__file__).with_name("doctor.toml").read_text("utf-8"))
 
 
-@dataclass(frozen=True, slots=True)
-class Check:
+class Check(NamedTuple):
     """One line of the doctor's report."""
 
     name: str

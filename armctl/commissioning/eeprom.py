@@ -12,8 +12,8 @@ Rules:
 import json
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import yaml
 from pydantic import Field
@@ -67,8 +67,7 @@ class Snapshot(Frozen):
             raise ValueError(f"servo_id {twice[0]} stands here twice")
 
 
-@dataclass(frozen=True, slots=True)
-class Difference:
+class Difference(NamedTuple):
     """A register that is not as a snapshot has it; `found` None: the servo cannot be read."""
 
     servo_id: int

@@ -14,6 +14,7 @@ procedure is wanted.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -80,8 +81,7 @@ class CandidatePath(StationPath):
     cost_mm: float
 
 
-@dataclass(frozen=True, eq=False)
-class GeneticRun:
+class GeneticRun(NamedTuple):
     """What the genetic algorithm found, and how it went."""
 
     path: CandidatePath
@@ -100,8 +100,7 @@ class FreePath(StationPath):
     largest_offset_rad: float
 
 
-@dataclass(frozen=True, eq=False)
-class StraightLineResult:
+class StraightLineResult(NamedTuple):
     """Everything a report shows."""
 
     candidates: Candidates

@@ -12,8 +12,7 @@ Rules.
 import json
 import math
 import re
-from dataclasses import dataclass
-from typing import Any, NoReturn
+from typing import Any, NamedTuple, NoReturn
 
 from armctl.config import NAME_PATTERN
 from armctl.errors import ArmctlError, BusError, ConfigError, LogError, NoDaemon, RequestRefused, UnreachableTarget
@@ -35,8 +34,7 @@ _NO_BRACKETS = bytes(set(range(256)) - set(b"[]{}"))
 RequestId = int | str | None
 
 
-@dataclass(frozen=True, slots=True)
-class Request:
+class Request(NamedTuple):
     """One request; `id` means nothing when `answered` is False."""
 
     method: str

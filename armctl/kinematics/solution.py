@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from itertools import pairwise
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,8 +68,7 @@ class Solution:
         return self.judge(self.q_rad)
 
 
-@dataclass(frozen=True)
-class Answer:
+class Answer(NamedTuple):
     """What there is to say about a target."""
 
     reachable: bool

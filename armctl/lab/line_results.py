@@ -1,8 +1,7 @@
 """What a straight-line experiment found: as rows of numbers, and as a page draws it."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,8 +22,7 @@ from armctl.trajectory.refinement import Measured, Round, repeat_noise_mm
 PREDICTED_POINTS = 201
 
 
-@dataclass(frozen=True, eq=False)
-class Outcome:
+class Outcome(NamedTuple):
     """What became of one number of via points."""
 
     via: Via

@@ -10,8 +10,8 @@ Rules.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,8 +30,7 @@ SPEED_MARGIN = 0.99
 DWELL_S = 1.0
 
 
-@dataclass(frozen=True)
-class Rehearsal:
+class Rehearsal(NamedTuple):
     """How well the arm followed. Errors are those of its encoders against the log's, at the same place."""
 
     ticks: int

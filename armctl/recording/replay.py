@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from armctl.clock import NS_PER_S
 from armctl.config import ArmConfig, parse_yaml, validate
@@ -91,8 +91,7 @@ class ReplayResult:
         return bool(self.skipped or self.gaps or self.not_compared)
 
 
-@dataclass(frozen=True)
-class LogSetup:
+class LogSetup(NamedTuple):
     """What a file says about the arm it is of."""
 
     arm: ArmConfig
