@@ -1,7 +1,8 @@
 """Where the joints have to be for the tool to be somewhere: the choice nearest to where they are.
 
-The search begins at the present pose, and again at `STARTS` poses drawn within the limits, always the same ones;
-the solutions are sorted by how far their farthest joint travels.
+The search begins at the present pose, where the rotation counts at all that inverse kinematics lists (of a point that
+takes too long), and at `STARTS` poses drawn within the limits, always the same ones. The solutions are sorted by how
+far their farthest joint travels.
 """
 
 import math
@@ -14,7 +15,7 @@ from pydantic import Field
 from armctl.config import Frozen
 from armctl.errors import RequestRefused
 from armctl.kinematics.inverse import pose_errors, refine_poses, unreachable
-from armctl.kinematics.solution import within_limits
+from armctl.kinematics.solution import solve, within_limits
 from armctl.kinematics.target import Target, direction_target, point_target
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import LONGEST_S
@@ -70,9 +71,12 @@ def postures_at(
     chain = on.robot.chain
     limits = np.array([joint.limits_rad for joint in on.arm.joints[: chain.n]])
     here = np.array(q_now[: chain.n])
+    target = Target(T, turned, direction)
+    known = [one.q_rad for one in solve(on.robot, target, present=here, limits=limits).solutions] if turned else []
     others = np.random.default_rng(0).uniform(limits[:, 0], limits[:, 1], (STARTS, chain.n))
-    targets = np.broadcast_to(T, (STARTS + 1, 4, 4))
-    q = refine_poses(chain, targets, np.vstack([here, others]), limits, turned=turned, direction=direction)
+    starts = np.vstack([here, *known, *others])
+    targets = np.broadcast_to(T, (len(starts), 4, 4))
+    q = refine_poses(chain, targets, starts, limits, turned=turned, direction=direction)
     away_m, turned_rad = pose_errors(chain, q, targets, direction)
     turned_rad = turned_rad * turned
     reached = (away_m <= POSITION_TOLERANCE_M) & (turned_rad <= ORIENTATION_TOLERANCE_RAD) & within_limits(q, limits)

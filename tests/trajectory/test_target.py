@@ -1,14 +1,21 @@
 """Where the joints have to be: on the target or a line, inside the limits, near the present pose; or how far it is."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from armctl.config import ArmConfig
 from armctl.errors import RequestRefused, UnreachableTarget
+from armctl.files import load_arm
+from armctl.kinematics import robots
 from armctl.kinematics.chain import forward_kinematics, tool_position
+from armctl.kinematics.solution import solve
+from armctl.kinematics.target import pose_target
 from armctl.kinematics.transform import FloatArray, pose_from_xyz_rpy
 from armctl.trajectory.course import Line
 from armctl.trajectory.line_path import MARGIN_RAD, STATIONS, levers_m, line_paths, onto, sensitivity_m
@@ -60,6 +67,55 @@ def test_a_pose_near_the_present_one_is_reached(q: tuple[float, ...]) -> None:
     wanted = np.array(NOW[:N]) + 0.1 * np.clip(np.array(q), -1.0, 1.0)
     T = forward_kinematics(CHAIN, wanted)
     assert forward_kinematics(CHAIN, np.array(postures_at(T, NOW, ON)[0][:N])) == pytest.approx(T, abs=1e-3)
+
+
+SIX = ("transfer-6dof", "wristed")
+
+
+def six_joints(name: str, folder: Path) -> ArmConfig:
+    """A shipped arm, or one of a URDF whose last three axes meet: no frame is as a table would have it."""
+    if name != "wristed":
+        return load_arm(name)
+    links = "".join(f'<link name="l{i}"/>' for i in range(8))
+    for i, (xyz, rpy, axis) in enumerate(WRISTED):
+        ends = f'<parent link="l{i}"/><child link="l{i + 1}"/><origin xyz="{xyz}" rpy="{rpy}"/><axis xyz="{axis}"/>'
+        kind, limit = ("revolute", '<limit lower="-2.2" upper="1.9"/>') if i < 6 else ("fixed", "")
+        links += f'<joint name="j{i}" type="{kind}">{ends}{limit}</joint>'
+    (folder / "wristed.urdf").write_text(f'<robot name="wristed">{links}</robot>')
+    joints = [{"name": f"j{i}", "servo_id": i + 1} for i in range(6)]
+    told = {"arm_id": "wristed", "robot": {"urdf": "wristed.urdf", "tool": "l7"}, "joints": joints}
+    (folder / "wristed.yaml").write_text(yaml.safe_dump(told))
+    return load_arm(str(folder / "wristed.yaml"))
+
+
+WRISTED = [
+    ("0 0 0.06", "0 0 0.5", "0 0 -1"),
+    ("0.02 0.01 0.03", "0 0 0", "0 -1 0"),
+    ("0 0 0.12", "0 0 0", "0 1 0"),
+    ("0.01 0 0.05", "0 0 0", "0 0 -1"),
+    ("0 0 0.05", "0 0 0", "0 1 0"),
+    ("0 0 0.04", "0 0 0", "0 0 1"),
+    ("0 0 0.05", "0.4 -0.8 0.2", "0 0 1"),
+]
+
+
+@pytest.mark.parametrize("name", SIX)
+def test_a_pose_of_joints_within_the_limits_is_never_said_to_be_out_of_reach(name: str, tmp_path: Path) -> None:
+    """One in three has a joint at its limit. Nothing that inverse kinematics lists is nearer than the first posture."""
+    arm, rng = six_joints(name, tmp_path), np.random.default_rng(5)
+    robot = robots.of(arm)
+    limits = np.array([joint.limits_rad for joint in arm.joints])
+    for k in range(24):
+        q, here = rng.uniform(limits[:, 0], limits[:, 1], (2, 6))
+        if k % 3 == 0:
+            q[k % 6] = limits[k % 6, k % 2]
+        T = forward_kinematics(robot.chain, q)
+        found = np.array(postures_at(T, here.tolist(), DrivenArm(arm, robot, 0.1)))
+        np.testing.assert_allclose(forward_kinematics(robot.chain, found), [T] * len(found), atol=1e-5)
+        assert ((found >= limits[:, 0]) & (found <= limits[:, 1])).all()
+        listed = solve(robot, pose_target(T), present=here, limits=limits).solutions
+        ways = [np.abs(np.subtract(one.q_rad, here)).max() for one in listed if one.within_limits]
+        assert np.abs(found[0] - here).max() <= min([*ways, np.abs(q - here).max()]) + 1e-5
 
 
 def test_a_pose_the_arm_cannot_take_says_how_far_off_it_stays() -> None:
