@@ -81,13 +81,13 @@ def load_arm(arm: str) -> ArmConfig:
     if isinstance(robot := told.get("robot"), dict) and "urdf" in robot and "dh" not in robot:
         told = _with_urdf(told, robot, path)
     found = validate(ArmConfig, told, str(path))
-    if not isinstance(found.robot, str):
-        from armctl.kinematics import robots
+    from armctl.kinematics import robots
 
-        try:
-            robots.of(found)
-        except ConfigError as error:
-            raise ConfigError(str(path), f"lengths_m.{error.key}", error.problem, error.remedy) from None
+    try:
+        robots.of(found)
+    except ConfigError as error:
+        key = error.key if error.key in ("joints", found.robot) else f"lengths_m.{error.key}"
+        raise ConfigError(str(path), key, error.problem, error.remedy) from None
     return found
 
 

@@ -158,7 +158,7 @@ def test_a_bad_arm_is_refused_in_a_sentence_with_place_and_remedy(bad: dict[str,
         arm = arm.replace(old, new)
     for old, new in bad.get("urdf", {}).items():
         assert old in links
-        links = links.replace(old, new)
+        links = links.replace(old, new.replace("LONG", "long" * 75))
     (tmp_path / "good.urdf").write_text(links)
     (tmp_path / "arm.yaml").write_text(arm)
     with pytest.raises(ConfigError) as refused:
@@ -168,6 +168,15 @@ def test_a_bad_arm_is_refused_in_a_sentence_with_place_and_remedy(bad: dict[str,
     assert told.startswith(str(tmp_path))
     for word in bad.get("and", ()):
         assert word in told
+
+
+def test_an_arm_of_a_paper_keeps_the_limits_of_its_own_file() -> None:
+    for name in ("ax12-line", "lanzhou-4dof", "transfer-6dof", "xiang-6dof"):
+        arm = load_arm(name)
+        narrow = {"joints": tuple(joint.model_copy(update={"limits_deg": (-9.0, 9.0)}) for joint in arm.joints)}
+        robot = robots.of(arm.model_copy(update=narrow))
+        assert (robot.name, robot.chain) == (name, robots.get(name, arm.lengths_m).chain)
+        assert robot.ranges_deg == ((-9.0, 9.0),) * robot.chain.n
 
 
 def test_the_good_one_is_taken(tmp_path: Path) -> None:

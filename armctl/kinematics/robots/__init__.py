@@ -1,5 +1,7 @@
 """Robots by name, those of the papers, and robots of arms' own tables."""
 
+from dataclasses import replace
+
 from armctl.config import ArmConfig, ChainTable
 from armctl.errors import ConfigError
 from armctl.kinematics.robots.papers import ROBOTS
@@ -26,12 +28,12 @@ def get(name: str | ChainTable, lengths_m: dict[str, float] | None = None) -> Ro
 
 
 def of(arm: ArmConfig) -> Robot:
-    """The robot that an arm is, with the joint ranges of its own file where it has a table.
+    """The robot that an arm is, with the joint ranges of its own file.
 
     Raises:
-        ConfigError: no such robot or length.
+        ConfigError: no such robot or length, or fewer joints than the robot has.
     """
-    if isinstance(arm.robot, str):
-        return get(arm.robot, arm.lengths_m)
-    ranges = tuple(joint.limits_deg for joint in arm.joints[: len(arm.robot.dh)])
-    return robot_of(arm.robot, arm.arm_id, ranges).with_lengths(arm.lengths_m)
+    named = get(arm.robot, arm.lengths_m)
+    if (n := named.chain.n) > len(arm.joints):
+        raise ConfigError("arm", "joints", f"{arm.robot} has {n} joints, not {len(arm.joints)}", "give one entry each")
+    return replace(named, name=arm.robot_name, ranges_deg=tuple(joint.limits_deg for joint in arm.joints[:n]))
