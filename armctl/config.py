@@ -16,7 +16,7 @@ from pydantic import Discriminator, Field, Tag, model_validator
 from armctl.dynamixel import ax12a, servos
 from armctl.errors import ConfigError
 from armctl.gripper import MAX_GRIP_TICK, GripperConfig, OwnGripper
-from armctl.links import ChainRow, ChainTable
+from armctl.links import ChainRow, ChainTable, Metres
 from armctl.pair import APART_TICKS, Linkage, PairConfig
 from armctl.strict_yaml import NAME_PATTERN, Degrees, Frozen, Name, is_none, parse_yaml, validate
 
@@ -177,7 +177,7 @@ class ArmConfig(Frozen):
         Discriminator(lambda told: "a name" if isinstance(told, str) else "a table"),
     ]
     # Link lengths that differ from the robot's own, by the robot's parameter names.
-    lengths_m: dict[str, float] = Field(default_factory=dict)
+    lengths_m: dict[str, Metres] = Field(default_factory=dict)
     # Height of the surface the arm stands on, in the base frame; no plan goes below it.
     floor_m: float = 0.0
     # How thick the links are all round, for what may touch; half the longest side of an AX-12A.
@@ -220,6 +220,8 @@ class ArmConfig(Frozen):
         rows, names = 0 if isinstance(self.robot, str) else len(self.robot.dh), self.joint_names
         if rows > len(names):
             raise ValueError(f"robot has {rows} joints, but joints has {len(names)}; give one entry each")
+        if not 0.0 < self.voltage_V[0] < self.voltage_V[1]:
+            raise ValueError(f"voltage_V {list(self.voltage_V)}: the first must be above 0 and below the second")
         if self.gripper is not None:
             self._check_gripper(self.gripper, rows)
         for what, remedy in (("name", "give each its own"), ("servo_id", "give each servo an id of its own")):
