@@ -24,10 +24,10 @@ def read_text(path: Path, what: str) -> str:
     """
     try:
         return path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(str(path), "", f"cannot read the {what}: {error.strerror}") from None
     except UnicodeDecodeError:
         raise ConfigError(str(path), "", f"the {what} is not UTF-8 text") from None
+    except (OSError, ValueError) as error:  # ValueError: a path that no system takes
+        raise ConfigError(str(path), "", f"cannot read the {what}: {getattr(error, 'strerror', error)}") from None
 
 
 def _user_dir(variable: str, below_home: str) -> Path:
@@ -100,7 +100,7 @@ def _with_urdf(told: dict[str, Any], robot: dict[str, Any], path: Path) -> dict[
     file = path.parent / robot["urdf"]
     found = read(_urdf_text(file), robot["tool"], str(file))
     for link, mesh in found.meshes:
-        if not (file.parent / mesh.rpartition("://")[2]).is_file():
+        if not os.path.isfile(file.parent / mesh.rpartition("://")[2]):  # unlike Path.is_file of an over-long name, too
             text = f"mesh {mesh!r} is not there; armctl draws links by itself"
             raise ConfigError(str(file), f"link {link}", text, "put it there, or remove the <mesh>")
     joints = told.get("joints")
