@@ -1,9 +1,9 @@
 """The cycle of a transfer robot: down to one station, up, across to the other, down, up, and back (Lu & Liu, 3).
 
 Rules.
-1. The paw points straight down, its x axis away from the base or towards it. All lifts are straight and vertical:
-   quintics in the joints through `LIFT_PIECES` + 1 places of inverse kinematics, which pass each place with the
-   velocity and acceleration that the Jacobian gives them there.
+1. The paw points straight down, as the z axis of its frame does, its x axis away from the base or towards it. All lifts
+   are straight and vertical: quintics in the joints through `LIFT_PIECES` + 1 places of inverse kinematics, which pass
+   each place with the velocity and acceleration that the Jacobian gives them there.
 2. Across, all joints go by one quintic from rest to rest.
 3. The paper prints curves and no motion: stations, height and times are whatever is asked for, link lengths the arm's.
 4. Of the poses over the first station the one is taken from which the joints travel least to the other station; every
@@ -188,7 +188,10 @@ def _paw_down(point: FloatArray, near: FloatArray, arm: ArmConfig, robot: Robot)
         found += [np.array(one.q_rad) for one in answer.solutions if answer.reachable and one.within_limits]
     if not found:
         near_m = answer.least_position_error_m
-        why = "only outside the joint limits" if answer.reachable else f"the nearest place is {1e3 * near_m:.1f} mm off"
-        what = f"the paw cannot point down at ({x:.3f}, {y:.3f}, {z:.3f}) m"
-        raise RequestRefused("UNREACHABLE", f"{what}: {why}; move the station")
+        why = f"the nearest place is {1e3 * near_m:.1f} mm off; move the station"
+        if answer.reachable:
+            why = "only outside the joint limits; move the station"
+        elif near_m < solution.REACHED_M:
+            why = "the z axis of its frame cannot; where the tool lies along another, turn its frame by tool_rpy_deg"
+        raise RequestRefused("UNREACHABLE", f"the paw cannot point down at ({x:.3f}, {y:.3f}, {z:.3f}) m: {why}")
     return sorted(found, key=lambda q: float(solution.weighted_travel(q, near, limits)))

@@ -93,6 +93,13 @@ def test_a_station_out_of_reach_is_refused_with_the_distance() -> None:
         motion(far, ARM, ROBOT)
 
 
+def test_an_arm_whose_tool_lies_along_another_axis_is_told_to_turn_its_frame() -> None:
+    """The default arm's lies along x; no other station would do."""
+    arm = load_arm("ax12-line")
+    with refused("UNREACHABLE", r"at \(0.180, 0.050, 0.140\) m: the z axis .* cannot; .* tool_rpy_deg$"):
+        motion(TransferRequest(pick_m=(0.18, 0.05, 0.08), place_m=(0.18, -0.05, 0.08)), arm, robots.of(arm))
+
+
 def test_a_cycle_that_is_too_fast_is_refused_with_every_reason() -> None:
     with refused("PREFLIGHT", "deg/s") as caught:
         transfer_trajectory(CYCLE.model_copy(update={"carry_s": 0.5}), REST, DrivenArm(ARM, ROBOT, 0.1))
