@@ -335,7 +335,7 @@ def recalibrated(arm: ArmConfig, zero_ticks: Sequence[float], lengths_m: dict[st
     """The arm with other zeros and lengths, its limits and rest pose staying at the same ticks.
 
     Stops and EEPROM limits stand at ticks and do not move because an angle gets a truer number. Limits are
-    rounded inwards to 0.01 deg.
+    rounded outwards to 0.01 deg, much less than a tick: their whole ticks stay.
 
     Raises:
         ConfigError: a zero or length is beyond any arm.
@@ -349,7 +349,7 @@ def recalibrated(arm: ArmConfig, zero_ticks: Sequence[float], lengths_m: dict[st
             continue
         moved = joint.model_copy(update={"zero_tick": zero_tick})
         low, high = sorted(math.degrees(moved.position_rad(tick)) for tick in joint.limits_tick)
-        low, high = math.ceil(low * 100.0) / 100.0, math.floor(high * 100.0) / 100.0
+        low, high = math.floor(low * 100.0) / 100.0, math.ceil(high * 100.0) / 100.0
         rest = round(math.degrees(moved.position_rad(joint.tick(joint.rest_rad))), 2)
         if joint.pair is not None and joint.pair.zero_tick is not None:  # what it reads beside the first one stays
             assert joint.linkage is not None
