@@ -52,6 +52,8 @@ READING_PERIOD_NS = 20_000_000
 SAMPLES = 5
 # Highest minus lowest reading of one joint while the tool rests on a point; more: the arm moved.
 MAX_SPREAD_TICK = 6
+# Touches of fewer points fit almost any arm: calibrated by one or two, most arms come out worse than they were.
+FEWEST_POINTS = 3
 # Smallest singular value [mm per tick or mm] that counts as seen: there 0.25 mm are a whole tick.
 WEAK = 0.25
 HELD_ERROR_TICK = 5.0
@@ -215,14 +217,22 @@ def touches_needed(arm: ArmConfig) -> int:
     return math.ceil(1.5 * (robot.chain.n + len(robot.lengths_m)) / 3.0)
 
 
+def check_points(arm: ArmConfig, points_m: Sequence[tuple[float, float, float]]) -> None:
+    """Refuse touches of these points, one for each, if they are too few to tell anything (TOO_FEW_POINTS)."""
+    if len(points_m) < touches_needed(arm):
+        raise RequestRefused("TOO_FEW_POINTS", f"{len(points_m)} touches, at least {touches_needed(arm)} are needed")
+    if (places := len(set(points_m))) < FEWEST_POINTS:
+        text = f"touches of {places} different points, at least {FEWEST_POINTS} are needed"
+        raise RequestRefused("TOO_FEW_POINTS", f"{text}, far apart and each in different postures")
+
+
 def fit(arm: ArmConfig, touches: Sequence[Touch]) -> Fit:
     """Zero ticks and lengths by least squares.
 
     Raises:
-        RequestRefused: too few touches, or no arm of this model fits the points.
+        RequestRefused: too few touches or points, or no arm of this model fits them.
     """
-    if len(touches) < touches_needed(arm):
-        raise RequestRefused("TOO_FEW_POINTS", f"{len(touches)} touches, at least {touches_needed(arm)} are needed")
+    check_points(arm, [touch.point_m for touch in touches])
     robot = robots.get(arm.robot, arm.lengths_m)
     n = robot.chain.n
     names = list(robot.lengths_m)
@@ -323,9 +333,10 @@ def _rms(residual_mm: FloatArray) -> float:
 
 
 def zeroed(arm: ArmConfig, ticks: Sequence[float], positions_rad: Sequence[float]) -> ArmConfig:
-    """The arm whose joints stand at `positions_rad` when the servos read `ticks`."""
+    """The arm whose joints stand at `positions_rad` when the servos read `ticks`; a gripper's stays as it is."""
+    grips = arm.gripper and arm.gripper.joint
     zeros = [
-        tick - joint.direction * position / ax12a.TICK_RAD
+        joint.zero_tick + (tick - joint.tick(position) if joint.name != grips else 0.0)
         for joint, tick, position in zip(arm.joints, ticks, positions_rad, strict=True)
     ]
     return recalibrated(arm, zeros, arm.lengths_m)

@@ -221,7 +221,7 @@ def test_an_arm_that_comes_with_armctl_is_calibrated_into_a_file_of_ones_own(
 
 
 def test_calibrate_says_when_the_postures_were_too_much_alike(arm_file: Path, typed: Typed) -> None:
-    said = typed(*calibrated(arm_file, touch_points(Bench(spec=EXACT), 1, np.random.default_rng(0)) * 12), arm_file)
+    said = typed(*calibrated(arm_file, touch_points(Bench(spec=EXACT), 3, np.random.default_rng(0)) * 4), arm_file)
     assert not missing(said.out, "left alone", "touch every point in more postures")
 
 
