@@ -5,9 +5,8 @@ The points are touched with a limp arm, without the daemon; `--sag` asks a runni
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict
-from datetime import date
+from datetime import date, datetime
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,7 +22,6 @@ from armctl.files import load_arm
 if TYPE_CHECKING:
     from armctl.commissioning.calibration import Fit, Readings
     from armctl.config import ArmConfig
-    from armctl.dynamixel.bus import ServoBus
 
 ASKED = ("armctl calibrate", "or give --readings FILE")
 
@@ -64,8 +62,9 @@ def calibrate_command(
         return
     before = output.arm
     name = output.arm_name or output.config.arm
-    if out is not None and out.exists():
-        raise RequestRefused("FILE_EXISTS", f"{out}: exists and is not overwritten; choose another --out")
+    path = out or arm_file.active_path(name)
+    if taken := [new for new in (out, save_readings) if new is not None and new.exists()]:
+        raise RequestRefused("FILE_EXISTS", f"{taken[0]}: exists and is not overwritten; choose another name")
     fit: Fit | None = None
     if way is not None:
         after = pairs.measured(before, partial(opened, output), AtTerminal(output, *ASKED))
@@ -82,15 +81,14 @@ def calibrate_command(
             session = calibration.load_readings(readings, before)
         else:
             assert points is not None
-            with opened(output, [joint.servo_id for joint in before.joints]) as bus:
-                session = _touch_all(output, bus, before, calibration.read_points(points), touches)
+            usual = path.with_name(f"{path.stem}-{datetime.now():%Y%m%d-%H%M%S}.readings")
+            session = _touch_all(output, before, points, touches, save_readings or usual)
         if save_readings is not None:
-            write_new(save_readings, calibration.readings_text(session))
+            arm_file.write(save_readings, calibration.readings_text(session))
         fit = calibration.fit(before, session.touches)
         after = fit.arm
         remark = f"{len(session.touches)} touches, {fit.rms_before_mm:.2f} mm off before, {fit.rms_mm:.2f} mm after"
     text = calibration.calibration_text(after, [f"Calibrated {date.today().isoformat()} from {name}: {remark}."])
-    path = out or arm_file.active_path(name)
     if out is not None:
         write_new(out, text)
     kept = arm_file.renew(path, text) if out is None else None
@@ -107,24 +105,29 @@ def calibrate_command(
     output.say(f"written: {path}{was}\nuse it: armctl daemon --arm {name if out is None else out}")
 
 
-def _touch_all(
-    output: Output, bus: ServoBus, arm: ArmConfig, points: Sequence[tuple[float, float, float]], touches: int
-) -> Readings:
-    """Lead the person through every point; a reading that fails is taken again."""
-    from armctl.commissioning.calibration import Readings, Touch, read_ticks
+def _touch_all(output: Output, arm: ArmConfig, points: Path, touches: int, kept: Path) -> Readings:
+    """Lead the person through every point and keep each touch; a reading that fails is taken again."""
+    from armctl.commissioning import arm_file, calibration
 
-    person, taken = AtTerminal(output, *ASKED), list[Touch]()
-    for number, point in enumerate(points, start=1):
-        for posture in range(1, touches + 1):
-            while True:
-                where = f"point {number} of {len(points)} ({millimetres(point)}), posture {posture} of {touches}"
-                person.ask("", f"{where}: hold the tip on it")
-                try:
-                    taken.append(Touch(point_m=point, ticks=read_ticks(bus, arm.joints, bus.port.clock)))
-                    break
-                except RequestRefused as refusal:
-                    output.say(f"not taken: {refusal}")
-    return Readings(arm_id=arm.arm_id, touches=tuple(taken))
+    places = [point for point in calibration.read_points(points) for _ in range(touches)]
+    calibration.check_points(arm, places)
+    session = calibration.Readings(arm_id=arm.arm_id, touches=())
+    with opened(output, [joint.servo_id for joint in arm.joints]) as bus:
+        person = AtTerminal(output, *ASKED)
+        output.say(f"readings are kept in {kept}, after every touch")
+        while (done := len(session.touches)) < len(places):
+            where = f"point {done // touches + 1} of {len(places) // touches} ({millimetres(places[done])})"
+            person.ask("", f"{where}, posture {done % touches + 1} of {touches}: hold the tip on it")
+            try:
+                ticks = calibration.read_ticks(bus, arm.joints, bus.port.clock)
+            except RequestRefused as refusal:
+                output.say(f"not taken: {refusal}")
+                continue
+            touch = calibration.Touch(point_m=places[done], ticks=ticks)
+            session = calibration.Readings(arm_id=arm.arm_id, touches=(*session.touches, touch))
+            arm_file.write(kept, calibration.readings_text(session))
+            output.after_interrupt = f"{done + 1} touches are in {kept}; `armctl calibrate --readings` takes them"
+    return session
 
 
 def _calibrate_sag(output: Output) -> None:

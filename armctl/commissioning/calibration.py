@@ -222,8 +222,7 @@ def check_points(arm: ArmConfig, points_m: Sequence[tuple[float, float, float]])
     if len(points_m) < touches_needed(arm):
         raise RequestRefused("TOO_FEW_POINTS", f"{len(points_m)} touches, at least {touches_needed(arm)} are needed")
     if (places := len(set(points_m))) < FEWEST_POINTS:
-        text = f"touches of {places} different points, at least {FEWEST_POINTS} are needed"
-        raise RequestRefused("TOO_FEW_POINTS", f"{text}, far apart and each in different postures")
+        raise RequestRefused("TOO_FEW_POINTS", f"{places} different points, at least {FEWEST_POINTS} are needed")
 
 
 def fit(arm: ArmConfig, touches: Sequence[Touch]) -> Fit:

@@ -15,9 +15,11 @@ import numpy as np
 import pytest
 
 from armctl.cli import main, setup
-from armctl.commissioning.calibration import Readings, Touch, calibration_text, readings_text
+from armctl.commissioning import calibration
+from armctl.commissioning.calibration import Readings, Touch, calibration_text, load_readings, readings_text
 from armctl.config import ArmConfig
 from armctl.dynamixel import ax12a
+from armctl.errors import PortGone
 from armctl.files import find_arm_file, load_arm
 from armctl.lab.demo import started
 from tests.cli.conftest import Answer, Typed, refusals
@@ -256,6 +258,46 @@ def test_calibrate_leads_a_person_through_points(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(sys, "stdin", person(str))
     typed(*command, arm_file.with_name("other.yaml"), status=130)
     assert not bench.port.is_open
+
+
+@pytest.mark.parametrize("end", ["Ctrl-C", "port", "fit"])
+def test_no_touch_is_lost_when_a_calibration_breaks_off(
+    monkeypatch: pytest.MonkeyPatch, arm_file: Path, typed: Typed, end: str
+) -> None:
+    bench = plugged(Bench(spec=EXACT), monkeypatch)
+    (points := arm_file.with_name("points.csv")).write_text("0.1,0,0\n0.2,0,0\n0.1,0.1,0\n")
+    turns = count(1)
+
+    def touching() -> str:
+        if next(turns) == 6 and end == "Ctrl-C":
+            raise KeyboardInterrupt
+        return "\n"
+
+    def gone(*_: object) -> tuple[float, ...]:
+        if next(reads) == 6 and end == "port":
+            raise PortGone("the port vanished")
+        return tuple(joint.zero_tick for joint in bench.config.joints)
+
+    reads = count(1)
+    monkeypatch.setattr(calibration, "read_ticks", gone)
+    monkeypatch.setattr(sys, "stdin", person(touching))
+    command = ("calibrate", "--arm", arm_file, "--port", "x", "--points", points)
+    said = typed(*command, status={"Ctrl-C": 130, "port": 1, "fit": 1}[end])
+    (kept,) = arm_file.parent.glob("my-arm-*.readings")
+    assert len(load_readings(kept, load_arm(str(arm_file))).touches) == (6 if end == "fit" else 5)
+    assert f"readings are kept in {kept}" in said.out.replace("\n", "")
+    assert (f"5 touches are in {kept}" in said.err.replace("\n", "")) == (end == "Ctrl-C")
+
+
+def test_what_makes_touches_useless_is_told_before_the_first(
+    monkeypatch: pytest.MonkeyPatch, arm_file: Path, typed: Typed
+) -> None:
+    plugged(Bench(spec=EXACT), monkeypatch)
+    monkeypatch.setattr(sys, "stdin", person(lambda: pytest.fail("asked")))
+    (points := arm_file.with_name("points.csv")).write_text("0.1,0,0\n0.2,0,0\n")
+    command = ("calibrate", "--arm", arm_file, "--port", "x", "--points", points)
+    assert "not overwritten" in typed(*command, "--save-readings", arm_file, status=1).err
+    assert "2 different points" in typed(*command, "--touches", "3", status=1).err
 
 
 def test_zeros_alone_are_read_in_the_rest_pose(monkeypatch: pytest.MonkeyPatch, arm_file: Path, typed: Typed) -> None:

@@ -134,7 +134,7 @@ def test_few_points_hold_what_they_do_not_show() -> None:
 
 @pytest.mark.parametrize("places", [1, 2])
 def test_one_or_two_points_are_refused_however_often_they_were_touched(places: int) -> None:
-    with refused("TOO_FEW_POINTS", f"touches of {places} different points, at least 3"):
+    with refused("TOO_FEW_POINTS", f"{places} different points, at least 3"):
         fit(ARM, ideal_touches(ARM, places, np.random.default_rng(4)) * 12)
 
 
