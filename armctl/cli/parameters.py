@@ -117,12 +117,20 @@ class Several(click.ParamType):  # type: ignore[type-arg]  # generic only in som
 
 
 class NewFile(click.Path):
-    """A file that will be written when the work is done: where that cannot be is told before."""
+    """A file that will be written when the work is done, in the place of an earlier page or picture, of nothing else.
+
+    Where that cannot be is told before.
+    """
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         path = Path(str(super().convert(value, param, ctx)))
         if not path.parent.is_dir():
             self.fail(f"{str(path.parent)!r} is no folder; make it first", param, ctx)
+        if path.is_file():
+            with path.open("rb") as file:
+                begins = file.read(14).lower()
+            if begins and not begins.startswith((b"<!doctype html", b"<svg")):
+                self.fail(f"{str(path)!r} exists and is no page or picture; choose another name", param, ctx)
         return path
 
 
