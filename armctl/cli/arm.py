@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from contextlib import suppress
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -252,5 +251,5 @@ def check_command(output: Output, file: str) -> int:
 
     found = judged(file)
     told = [f"{problem['key']}: {problem['text']}".removeprefix(": ") for problem in found.problems]
-    output.answer(asdict(found), "\n".join([found.picture, *(told or ["nothing is wrong with it"])]).strip("\n"))
+    output.answer(found._asdict(), "\n".join([found.picture, *(told or ["nothing is wrong with it"])]).strip("\n"))
     return 0 if found.ok else 1

@@ -53,7 +53,6 @@ def calibrate_command(
     Example: armctl calibrate --points sheet.csv
     """
     from armctl.commissioning import arm_file, calibration, pairs
-    from armctl.commissioning.eeprom import write_new
 
     if sum(choice is not None for choice in (points, readings, zero_at, way)) != 1:
         raise click.UsageError("give one of --points FILE, --readings FILE, --zero-at rest|zero, --sag and --pairs")
@@ -89,9 +88,7 @@ def calibrate_command(
         after = fit.arm
         remark = f"{len(session.touches)} touches, {fit.rms_before_mm:.2f} mm off before, {fit.rms_mm:.2f} mm after"
     text = calibration.calibration_text(after, [f"Calibrated {date.today().isoformat()} from {name}: {remark}."])
-    if out is not None:
-        write_new(out, text)
-    kept = arm_file.renew(path, text) if out is None else None
+    kept = arm_file.renew(path, text)
     result: dict[str, Any] = {"path": str(path), "changes": _changes(before, after)}
     if fit is not None:
         result |= asdict(fit) | {"residuals_mm": fit.residuals_mm.tolist(), "complete": fit.complete}

@@ -37,7 +37,7 @@ def identify_command(
     from armctl.kinematics import robots
     from armctl.lab import identification as lab
     from armctl.report import identified
-    from armctl.trajectory.identification import Trace, identify
+    from armctl.trajectory.identification import QUANTITIES, Trace, identify
 
     if more and not from_logs and joints is None:
         raise ConfigError("armctl identify", more[0], "belongs to no option", "name it behind --from-logs or --joints")
@@ -45,15 +45,17 @@ def identify_command(
         from_logs += tuple(map(Path, more))
         logs = [lab.read(path) for path in from_logs]
         arm, traces = logs[0][0], [trace for _, trace in logs]
-        if others := [path for path, (other, _) in zip(from_logs, logs, strict=True) if other.arm_id != arm.arm_id]:
-            raise ConfigError("armctl identify", "--from-logs", f"{others[0]} is of another arm", "leave it out")
+        own = (arm if quick else load_arm(output.config.arm)).arm_id
+        if others := [path for path, (other, _) in zip(from_logs, logs, strict=True) if other.arm_id != own]:
+            remedy = "leave it out, or name a configuration of that arm by --config"
+            raise ConfigError("armctl identify", "--from-logs", f"{others[0]} is of another arm than {own}", remedy)
     else:
         arm, traces = _moved(output, joints and ",".join((joints, *more)), quick=quick)
     found = identify(arm, robots.of(arm).chain, Trace.joined(traces))
     result: dict[str, Any] = {"joints": lab.told(found), "ramp_from_reference": found.ramp_from_reference, "spec": None}
     if quick:
         result["joints"] = []
-    else:
+    elif any(joint.values.keys() & QUANTITIES for joint in found.joints):
         result["spec"] = str(lab.save(output.config, arm, found))
     if report is not None:
         identified.write(found, report)

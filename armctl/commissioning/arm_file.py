@@ -1,9 +1,8 @@
 """An arm's file: judged without hardware, and drawn; renewed, with its history; and every arm at hand."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,8 +19,7 @@ WIDTH, HEIGHT = 56, 24
 LINK, JOINT, TOOL, FLOOR = "·", "o", "x", "_"
 
 
-@dataclass(frozen=True)
-class Judgement:
+class Judgement(NamedTuple):
     """What there is to say about an arm's file."""
 
     ok: bool
@@ -106,18 +104,18 @@ def active_path(arm: str) -> Path:
 
 
 def renew(path: Path, text: str) -> Path | None:
-    """Have an arm's file hold a text, on the disk when this returns; the file before stays in its history.
+    """Have an arm's file, or its twin, hold a text, on the disk when this returns; the one before stays in its history.
 
     Returns:
-        Where that one lies, `NAME.history/NUMBER.yaml` beside the file, the oldest 1; None: there was none.
+        Where that one lies, `NAME.history/NUMBER.SUFFIX` beside the file, the oldest 1; None: there was none.
     Raises:
         ConfigError: it cannot be written.
     """
     kept: Path | None = None
-    if path.exists() and (old := read_text(path, "calibration")) != text:
+    if path.exists() and (old := read_text(path, "file")) != text:
         folder = path.with_suffix(".history")
-        numbers = [int(one.stem) for one in folder.glob("*.yaml") if one.stem.isdecimal()]
-        kept = folder / f"{max(numbers, default=0) + 1}.yaml"
+        numbers = [int(one.stem) for one in folder.glob(f"*{path.suffix}") if one.stem.isdecimal()]
+        kept = folder / f"{max(numbers, default=0) + 1}{path.suffix}"
         write(kept, old)
     write(path, text)
     return kept

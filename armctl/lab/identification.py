@@ -24,7 +24,7 @@ import numpy as np
 from armctl.client import Client
 from armctl.clock import NS_PER_S
 from armctl.commissioning import sag_file
-from armctl.commissioning.arm_file import write
+from armctl.commissioning.arm_file import renew
 from armctl.config import ArmConfig, Config
 from armctl.dynamixel import ax12a
 from armctl.errors import LogError, RequestRefused
@@ -221,6 +221,9 @@ def read(path: Path) -> tuple[ArmConfig, Trace]:
     if not (table := max(tables, key=lambda table: len(table.sequence), default=None)):
         raise LogError(f"{path}: tells nothing of servos; there is nothing to learn from")
     n = len(arm.joints)
+    for i, joint in enumerate(arm.joints):
+        if not np.asarray(table.columns[f"servos[{i}].registers"]).size:
+            raise LogError(f"{path}: servo {joint.servo_id} ({joint.name}) never answered; give logs in which all did")
     stamps_ns, fresh, blocks = (
         np.stack([np.asarray(table.columns[f"servos[{i}].{key}"]) for i in range(n)], axis=1)
         for key in ("stamp_ns", "fresh", "registers")
@@ -266,7 +269,7 @@ def told(found: Found) -> list[dict[str, Any]]:
 
 
 def save(config: Config, arm: ArmConfig, found: Found) -> Path:
-    """Write the twin of the arm beside its lag model.
+    """Write the twin of the arm beside its lag model; the one before stays in its history.
 
     Raises:
         ConfigError: it cannot be written there.
@@ -275,5 +278,5 @@ def save(config: Config, arm: ArmConfig, found: Found) -> Path:
     joints = {one.name: {k: v for k, (v, _) in (one.likely | one.values).items() if k in kept} for one in found.joints}
     about = {"arm_id": arm.arm_id, "ramp_from_reference": found.ramp_from_reference, "points_kg": found.points_kg}
     path = sag_file.path_of(config).with_suffix("").with_suffix(".twin.json")
-    write(path, json.dumps(about | {"joints": joints}, indent=1) + "\n")
+    renew(path, json.dumps(about | {"joints": joints}, indent=1) + "\n")
     return path
