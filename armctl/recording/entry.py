@@ -32,7 +32,7 @@ _REGISTERS = (
     ax12a.TORQUE_ENABLE, ax12a.PRESENT_LOAD, ax12a.PRESENT_POSITION, ax12a.GOAL, ax12a.PRESENT_TEMPERATURE,
     ax12a.PRESENT_VOLTAGE,
 )  # fmt: skip
-_SERVO = re.compile(r" \(servo (\d+)\): ")
+_SERVO = re.compile(r" \(servo (\d{1,3})\): ")
 
 
 @dataclass

@@ -135,10 +135,10 @@ _KEPT = ("name", "size", "mtime_ns", "start_s", "duration_s", "arm_id", "version
 
 
 def _files(folder: Path) -> Iterator[tuple[str, list[int]]]:
-    """Name, size and time of every log in a folder."""
+    """Name, size and time of every log in a folder whose name is text."""
     with os.scandir(folder) as found:
         for file in found:
-            if file.name.endswith((".mcap", ".mcap.part")):
+            if file.name.endswith((".mcap", ".mcap.part")) and file.name.encode(errors="replace").decode() == file.name:
                 with suppress(OSError):  # gone since
                     status = file.stat()
                     yield file.name, [status.st_size, status.st_mtime_ns]

@@ -22,6 +22,8 @@ def parse_note(text: str) -> dict[str, Any]:
     """The JSON object in a line on /armctl/command; empty where it is none."""
     try:
         data = json.loads(text)
+        if "\\ud" in text.lower():  # half a surrogate pair, which neither sqlite3 nor a terminal takes
+            data = json.loads(json.dumps(data, ensure_ascii=False).encode(errors="replace"))
     except (ValueError, RecursionError):
         return {}
     return data if isinstance(data, dict) else {}

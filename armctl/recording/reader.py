@@ -9,7 +9,6 @@ Every failure is a LogError.
 
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -30,8 +29,7 @@ class DecodedMessage(NamedTuple):
     value: Value
 
 
-@dataclass(frozen=True)
-class LogInfo:
+class LogInfo(NamedTuple):
     """What a file holds. `complete`: nothing in it is damaged, and stock readers read all of it."""
 
     messages: int

@@ -11,9 +11,8 @@ Rules of lists of them.
 import logging
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,8 +44,7 @@ Line = tuple[Sequence[float], Sequence[float]]
 _log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True)
-class Recording:
+class Recording(NamedTuple):
     """Joint positions of one take.
 
     `time_s` (m,) counts from the first sample; `positions_rad` has shape (m, n) with the joints in the order of

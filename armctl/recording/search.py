@@ -73,9 +73,9 @@ def find(index: Index, expression: str) -> list[Row]:
             arguments.append(word.lower())
     if compared and any("text" in one or "code" in one or "level" in one for one in where):
         raise _misunderstood(expression, "a comparison is of servos, and a code or text of events; ask twice")
-    source = "minutes" if compared else "events"
-    query = f"SELECT *, s.time_s AS at_s FROM {source} s JOIN logs ON logs.id = s.log WHERE {' AND '.join(where)}"
-    return [_found(index, row, compared) for row in index.ask(f"{query} ORDER BY s.time_s", arguments)]
+    source = f"{'minutes' if compared else 'events'} JOIN logs ON logs.id = log"
+    query = f"SELECT *, coalesce(time_s, mtime_ns / 1e9) AS at_s FROM {source} WHERE {' AND '.join(where)}"
+    return [_found(index, row, compared) for row in index.ask(f"{query} ORDER BY at_s", arguments)]
 
 
 def _found(index: Index, row: Row, compared: Sequence[re.Match[str]]) -> Row:

@@ -304,6 +304,24 @@ def test_notes_are_shown_and_found_and_outlive_the_index(folder: Path) -> None:
     cannot(add_note, folder / "armctl-1.mcap", " ", why="a note without a word says nothing")
 
 
+def test_odd_names_and_notes_of_some_logs_disturb_no_other(tmp_path: Path) -> None:
+    huge = Event("error", "TRIPPED", f"a (servo {10**20}): shut itself down", None)
+    half = json.dumps({"event": "X\udce9", "text": "caf\udce9 \U0001f600"})
+    log = write(tmp_path / "a.mcap", [*RECORDS[:5], with_outputs(RECORDS[5], events=(huge,))], notes={3: [half]})
+    Path(os.fsdecode(os.fsencode(tmp_path) + b"/caf\xe9.mcap")).write_bytes(log.read_bytes())
+    (tmp_path / "empty.mcap").touch()
+    add_note(log, "caf\udce9")
+    add_note(tmp_path / "empty.mcap", "why is it empty?")
+    with updated(tmp_path) as index:
+        noted = {Path(row["path"]).name: row["notes"] for row in search.listing(index)}
+        assert noted == {"a.mcap": ["caf?"], "empty.mcap": ["why is it empty?"]}
+        assert asked(index, "caf?") == [("a.mcap", "NOTE"), ("a.mcap", "X?")]
+        assert asked(index, "code:TRIPPED") == [("a.mcap", "TRIPPED")]
+        (why,) = search.find(index, "code:NOTE why")
+        assert (why["time_s"], why["time"][:4]) == (0.0, search.iso((tmp_path / "empty.mcap").stat().st_mtime)[:4])
+        json.dumps([search.listing(index), search.find(index, ""), search.stats(index, "day")]).encode()
+
+
 def test_two_logs_are_compared_by_every_figure(folder: Path) -> None:
     rows = {row["quantity"]: row for row in diff(folder / "armctl-1.mcap", folder / "armctl-2.mcap")}
     assert rows["events, error"] == {"quantity": "events, error", "a": 0, "b": 1, "difference": 1}

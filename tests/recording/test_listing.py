@@ -84,7 +84,7 @@ def test_a_take_that_was_cut_at_any_byte_disturbs_no_other(tmp_path: Path) -> No
 
 def test_a_take_of_an_arm_with_fewer_joints_has_no_errors_to_show(tmp_path: Path) -> None:
     recording = recordings.load(write_take(tmp_path / "a.mcap", [[0.1 * i] * N for i in range(3)]))
-    assert describe(replace(recording, positions_rad=recording.positions_rad[:, :2]), ROBOT)["mean_error_mm"] is None
+    assert describe(recording._replace(positions_rad=recording.positions_rad[:, :2]), ROBOT)["mean_error_mm"] is None
 
 
 @pytest.mark.parametrize("note", ["no JSON", "[]", "5", '{"event":"VIA_MARK"}', '{"request":1}', "[" * 100_000])

@@ -1,6 +1,5 @@
 """Takes by name."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -59,10 +58,10 @@ def test_of_a_run_the_plan_is_played_and_of_a_take_what_moves(tmp_path: Path) ->
     assert run.plan_s is not None
     assert motion.duration_s == pytest.approx(run.plan_s[1] - run.plan_s[0], abs=1e-5)
     swing = np.concatenate([np.zeros(20), 0.5 * np.sin(np.linspace(0.0, 1.5, 30)), np.full(20, 0.5)])
-    guided = replace(run, plan_s=None, positions_rad=np.repeat(swing[:, None], 6, axis=1))
+    guided = run._replace(plan_s=None, positions_rad=np.repeat(swing[:, None], 6, axis=1))
     assert recordings.taught(guided).duration_s == pytest.approx(2.9, abs=0.4)
     with pytest.raises(ConfigError, match=r"recording run: .*can be played"):
-        recordings.taught(replace(guided, plan_s=(0.0, 0.2)))
+        recordings.taught(guided._replace(plan_s=(0.0, 0.2)))
 
 
 def test_a_part_is_listed_and_loads_without_its_end(tmp_path: Path) -> None:
