@@ -13,7 +13,6 @@ import shlex
 import sys
 import textwrap
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -184,7 +183,7 @@ def scan_command(output: Output, baud: str | None) -> int:
             found = scan(
                 bus, bauds, progress=lambda at, done, all_: show(bauds.index(at) + done / all_, f"{at} baud, id {done}")
             )
-    rows = [{"id" if key == "servo_id" else key: value for key, value in asdict(servo).items()} for servo in found]
+    rows = [{"id" if key == "servo_id" else key: value for key, value in servo._asdict().items()} for servo in found]
     remedy = "check supply and cable" if every else "try --baud all, and check supply and cable"
     shown = partial(show_servos, output, found)
     output.answer({"servos": rows}, shown if found else f"no servo answers; {remedy}")
@@ -192,7 +191,7 @@ def scan_command(output: Output, baud: str | None) -> int:
 
 
 def show_servos(output: Output, found: Sequence[FoundServo]) -> None:
-    show_rows(output.console, "servos", "", [{**asdict(servo), "trouble": _trouble(servo)} for servo in found])
+    show_rows(output.console, "servos", "", [{**servo._asdict(), "trouble": _trouble(servo)} for servo in found])
 
 
 def _trouble(servo: FoundServo) -> str:

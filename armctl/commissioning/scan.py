@@ -12,8 +12,7 @@ Rules:
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.bus import ServoBus
@@ -30,8 +29,7 @@ USUAL_BAUDS = (1_000_000, 57_600, 115_200, 500_000, 250_000, 200_000, 400_000, 1
 Progress = Callable[[int, int, int], None]
 
 
-@dataclass(frozen=True, slots=True)
-class FoundServo:
+class FoundServo(NamedTuple):
     """One id that answers."""
 
     servo_id: int

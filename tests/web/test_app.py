@@ -5,7 +5,6 @@ import json
 import math
 import os
 import shutil
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -152,7 +151,7 @@ def test_a_log_of_another_arm_is_not_drawn_as_this_one(tmp_path: Path, monkeypat
     assert answer.status_code == 404
     assert not missing(answer.json()["error"]["message"], "of ax12-line with base, ", "is xiang-6dof with waist, ")
     track = load(RELEASED / "0.2.0.mcap")
-    fewer = replace(track, joint_names=track.joint_names[:3], positions_rad=track.positions_rad[:, :3])
+    fewer = track._replace(joint_names=track.joint_names[:3], positions_rad=track.positions_rad[:, :3])
     monkeypatch.setattr("armctl.web.files.load", lambda _: fewer)
     answer = get(served(tmp_path), "/api/logs/old.mcap")
     assert not missing(answer.json()["error"]["message"], "with base, shoulder, elbow; ", "is ax12-line with base, ")
