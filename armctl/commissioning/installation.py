@@ -170,7 +170,9 @@ def installation(
         calibration,
         rules,
         Run(("udevadm", "control", "--reload"), when=heard),
-        Run(("udevadm", "trigger", "--action=add", "-s", "tty", "-s", "usb-serial"), when=heard),
+        Run(
+            ("udevadm", "trigger", "--action=add", "--subsystem-match=tty", "--subsystem-match=usb-serial"), when=heard
+        ),
         *([Run(join, when=lambda: not _belongs(user))] if user else []),
         *units.values(),
         Run(("systemctl", "daemon-reload"), when=changed(*units.values())),
