@@ -72,8 +72,7 @@ class Leases:
             RequestRefused: code BUSY, naming who commands.
         """
         self.refuse_if_busy(client, what)
-        before, lease = self.current, Lease(client, what, before=self.current)
-        self.current = lease
+        lease = self.current = Lease(client, what, before=(before := self.current))
         try:
             yield lease
         finally:
@@ -82,7 +81,7 @@ class Leases:
 
     @contextmanager
     def pausing(self) -> Iterator[None]:
-        """Around a request to pause what moves: where nothing moves just now, the next leg waits."""
+        """Wrap a request to pause the motion: if nothing moves just now, the next leg waits."""
         lease = self.current
         if lease is not None:
             lease.paused = lease.what in IN_LEGS
@@ -100,7 +99,7 @@ class Leases:
         self.current = Lease(client, what)
 
     def held(self) -> Iterator[Lease]:
-        """That of the moment, and those that it came upon."""
+        """The lease of the moment, then those that go on when it ends."""
         lease = self.current
         while lease is not None:
             yield lease

@@ -109,11 +109,11 @@ def refuse_to_begin(q_now: Sequence[float], joints_rad_s: Sequence[float], arm: 
 def refuse_collision(q_now: Sequence[float], joints_rad_s: Sequence[float], arm: ArmConfig, robot: Robot) -> None:
     """Look where a jog of the joints leads within `JOG_LOOK_S`; links that overlap already may come apart.
 
-    On the way limits and floor are the control step's; here it is the links that must not touch each other, nor go
-    down where they are at the floor.
+    The control step keeps limits and floor on the way. Here the links must not come to touch each other, and an arm at
+    the floor must not go down.
 
     Raises:
-        RequestRefused: code PREFLIGHT, naming the links.
+        RequestRefused: code PREFLIGHT, naming the links, or the floor.
     """
     n, radius_m = robot.chain.n, arm.link_radius_m
     time_s = np.linspace(0.0, JOG_LOOK_S, JOG_LOOKS)[:, None]
