@@ -231,17 +231,20 @@ class ServoPort(PortHandler, ABC):  # type: ignore[misc]  # the SDK has no types
         ):
             reply, result = self.readPort(size), COMM_SUCCESS
         else:
-            reply, result = self._search(request[2]) if reply else (b"", COMM_RX_TIMEOUT)
+            reply, result = self._search(request[2], size) if reply else (b"", COMM_RX_TIMEOUT)
         # The wait for the next reply of the round begins here.
         self.arrived_ns = self._begin_ns = self._now_ns()
         self._stamp_read(self.arrived_ns)
         return reply, result
 
-    def _search(self, servo_id: int) -> tuple[bytes, int]:
-        """The SDK's search for the packet of a servo, in whatever has come and is still to come."""
+    def _search(self, servo_id: int, size: int) -> tuple[bytes, int]:
+        """The SDK's search for the packet of a servo, in whatever has come and is still to come.
+
+        One of it that holds nothing says that an earlier request came damaged; the reply may stand behind it.
+        """
         while True:
             packet, result = _sdk.rxPacket(self)
-            if result != COMM_SUCCESS or packet[2] == servo_id:
+            if result != COMM_SUCCESS or (packet[2] == servo_id and not OVERHEAD_BYTES == len(packet) < size):
                 return bytes(packet), result
 
     def take_wire(self) -> tuple[tuple[int, bool, bytes], ...]:

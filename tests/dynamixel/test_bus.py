@@ -169,6 +169,15 @@ def test_noise_before_a_good_reply_is_skipped(noise: bytes) -> None:
     assert bus.read_sample().servos[0].registers == bytes(bus.port.tables[1][24:50])
 
 
+def test_reply_behind_the_complaint_about_a_damaged_request_is_taken() -> None:
+    bus = ScriptedBus(1)
+    complaint = encode_status(1, ax12a.ErrorBit.CHECKSUM)
+    bus.port.spoils[1] = [lambda request, good: [(0, complaint), (300, good)]]
+    sample = bus.read_sample()
+    assert sample.servos[0].registers == bytes(bus.port.tables[1][24:50])
+    assert sample.retries == 0
+
+
 def test_error_byte_is_kept_and_every_bit_named(bus: ScriptedBus, caplog: pytest.LogCaptureFixture) -> None:
     bus.port.errors[2] = ax12a.ErrorBit.OVERHEAT | ax12a.ErrorBit.OVERLOAD
     with caplog.at_level(logging.WARNING):
