@@ -361,6 +361,22 @@ def test_2_where_a_servo_is_in_whose_name_another_one_answers_nobody_can_tell(
 
 
 @pytest.mark.parametrize(
+    ("kind", "elsewhere", "broken"), [("same_id", True, set()), ("same_id", False, {"2"}), ("lost", True, {"2"})]
+)
+def test_2_a_reply_from_another_place_misleads_only_where_two_servos_have_one_id(
+    kind: str, elsewhere: bool, broken: set[str]
+) -> None:
+    bench = Bench()
+    bench.plan(kind, 3.0)
+    bench.tick(Mode.HOLDING)
+    if elsewhere:
+        bench.judge.told_elsewhere(bench.now_s, 0)
+    bench.at(MIDDLE + 60)
+    bench.ticks(2, Mode.HOLDING)
+    assert bench.broken & {"2"} == broken
+
+
+@pytest.mark.parametrize(
     ("code", "broken"),
     [
         ("NOT_LIMP", set()),  # it is limp as before

@@ -85,6 +85,8 @@ class Duties:
         self._codes: Set[str] = frozenset()
         # Until when damaged packets may have told a servo what nobody sent.
         self._forged_until_s = [-math.inf] * len(arm.servos)
+        # Until when another servo's replies have misled whoever asked each one.
+        self._misled_until_s = [-math.inf] * len(arm.servos)
         # Begin and end of damage to packets of the host.
         self._garbled: list[tuple[float, float]] = []
         # Those that are over since a short while.
@@ -276,8 +278,18 @@ class Duties:
             for begin_s, end_s, fault in (*self._faults, *self._planned)
         )
 
+    def told_elsewhere(self, now_s: float, i: int) -> None:
+        """A servo was told to be far from where it is."""
+        if self.lately(now_s, {"same_id"}, 0.0, i):
+            self._misled_until_s[i] = now_s + RECOVERING_S
+
     def replaced(self, now_s: float, i: int) -> bool:
-        """Whether another servo answers in the name of one that does not: whose position it is, nobody can tell."""
+        """Whether another servo answers in the name of one that does not: whose position it is, nobody can tell.
+
+        It surely does where the one's replies are all lost, and where a reply told another place than its own.
+        """
+        if now_s < self._misled_until_s[i]:
+            return True
         here = [one for one in (*self._faults, *self._planned) if self._arm.one_joint(i, one[2].servo_id)]
         others = [(begin_s, end_s) for begin_s, end_s, fault in here if fault.kind == "same_id"]
         silent = [

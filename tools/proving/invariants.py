@@ -150,6 +150,10 @@ class Judge(TorqueJudge):
         if kind in STOPS or (kind == "pause" and self._mode == MOVING):
             self._duties.must_stop(now_s + self._period_s + STOP_S, f"after `{kind}`", by_clear=False, invariant="6")
 
+    def told_elsewhere(self, now_s: float, index: int) -> None:
+        """A good reply told a place where its servo is not."""
+        self._duties.told_elsewhere(now_s, index)
+
     def heard(
         self, now_s: float, index: int, position: int, goal: int | None = None, *, asked_s: float | None = None
     ) -> None:

@@ -38,6 +38,8 @@ from proving.readings import Heard
 
 # Bytes of a good reply to a READ of 24..49.
 STATUS_REPLY = STATUS_SIZE + 6
+# A reply from so far off the servo's own sensor is another's: noise and 1 ms of motion are less.
+ELSEWHERE_TICKS = 8.0
 # The supply at which a motor gives its stall torque.
 RATED_V = 12.0
 # What an arm may carry at its tool.
@@ -179,6 +181,8 @@ class Watch:
                 asked_s = self.now_s(self._pending_ns)
                 self._judge.heard(self.now_s(now_ns), index, position, goal if torque else None, asked_s=asked_s)
                 self._heard.add(index)
+                if abs(position - self._sensed(index)) > ELSEWHERE_TICKS:
+                    self._judge.told_elsewhere(self.now_s(now_ns), index)
                 break
             at = received.find(self._heads[pending], at + 1)
         self._pending = None
@@ -203,14 +207,18 @@ class Watch:
         """Every servo now; the list is the same one each time."""
         for i, (servo, known) in enumerate(zip(self._body.servos, self._servos, strict=True)):
             known.shaft_tick = servo.position_tick
-            frozen = servo.frozen_tick
-            shown = math.floor(servo.position_tick + 0.5) if frozen is None else frozen
-            known.sensed_tick = min(max(shown, 0), TICK_MAX)  # what ten bits can say of it
+            known.sensed_tick = self._sensed(i)
             if servo.writes != self._writes[i]:
                 self._writes[i] = servo.writes
                 known.limit, known.goal, known.speed = (_value(servo.table, register) for register in WATCHED)
                 known.torque = servo.torque_enabled and known.limit > 0
         return self._servos
+
+    def _sensed(self, i: int) -> int:
+        """What a servo's own sensor reads, without noise."""
+        servo = self._body.servos[i]
+        shown = math.floor(servo.position_tick + 0.5) if servo.frozen_tick is None else servo.frozen_tick
+        return min(max(shown, 0), TICK_MAX)  # what ten bits can say of it
 
     def strains(self) -> list[Strain]:
         """What each motor works, and what its servo feels, now."""
