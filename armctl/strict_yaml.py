@@ -1,11 +1,17 @@
-"""Strict YAML text, and strict types to read it into.
+"""Strict text (YAML, JSON, tables), and strict types to read it into.
 
 What comes from outside is refused as a whole, with file, key, value and bound of everything that is wrong in it. YAML
 is read without its surprises: no aliases, tags or duplicate keys, no `.nan`, no `1:30` or `0o17` numbers, at most
 64 KiB and 16 levels deep.
 """
 
+import csv
+import io
+import json
+import math
 import re
+from collections.abc import Sequence
+from contextlib import suppress
 from typing import Annotated, Any, Self, TypeVar
 
 import yaml
@@ -84,6 +90,55 @@ for _tag, _regexp, _first in (
     ("tag:yaml.org,2002:float", r"^[-+]?[0-9]+(?:\.[0-9]*)?(?:[eE][-+]?[0-9]+)?$", list("-+0123456789")),
 ):
     _StrictLoader.add_implicit_resolver(_tag, re.compile(_regexp), _first)
+
+
+def parse_json(text: str, file: str) -> Any:
+    """What a JSON text says.
+
+    Raises:
+        ConfigError: not JSON, or a key stands twice.
+    """
+
+    def mapping(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        keys = [key for key, _ in pairs]
+        if twice := [key for key in keys if keys.count(key) > 1]:
+            raise ConfigError(file, twice[0], "the key stands twice")
+        return dict(pairs)
+
+    try:
+        return json.loads(text, object_pairs_hook=mapping)
+    except (ValueError, RecursionError) as error:
+        raise ConfigError(file, "", f"not JSON: {error}") from None
+
+
+def csv_table(
+    text: str, file: str, needed: Sequence[str], remedy: str
+) -> tuple[list[str], list[tuple[str, dict[str, str]]]]:
+    """Header and rows of comma-separated values; of each row its place, and its cells by column. Blank rows count for
+    nothing.
+
+    Args:
+        needed: Columns that have to be there.
+        remedy: What the header must be, for an error message.
+    Raises:
+        ConfigError: a column is missing, or a row is not as long as the header.
+    """
+    lines = enumerate(csv.reader(io.StringIO(text), skipinitialspace=True), 1)
+    rows = [(f"row {number}", [cell.strip() for cell in row]) for number, row in lines if any(map(str.strip, row))]
+    header = rows[0][1] if rows else []
+    if missing := [name for name in needed if name not in header]:
+        raise ConfigError(file, "header", f"no column {', '.join(missing)}", remedy)
+    if odd := [(where, row) for where, row in rows if len(row) != len(header)]:
+        raise ConfigError(file, odd[0][0], f"has {len(odd[0][1])} cells, the header {len(header)}")
+    return header, [(where, dict(zip(header, row, strict=True))) for where, row in rows[1:]]
+
+
+def finite(text: str, file: str, where: str) -> float:
+    """The finite number in a cell; ConfigError: it is none."""
+    with suppress(ValueError):
+        if math.isfinite(value := float(text)):
+            return value
+    raise ConfigError(file, where, f"{text!r} is not a finite number")
 
 
 def parse_yaml(text: str, file: str) -> dict[str, Any]:

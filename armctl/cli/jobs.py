@@ -28,8 +28,7 @@ WANTED = "the wanted line"
 
 def in_words(recording: dict[str, Any], line: str = OWN_LINE) -> str:
     """A recording in one line, which says off which line the tool was."""
-    still = recording["mean_error_mm"] is None
-    error = "the tool never left its place" if still else off(recording, line)
+    error = "the tool never left its place" if (recording["mean_error_mm"] is None) else off(recording, line)
     return f"{recording['name']}: {recording['duration_s']:.1f} s, {recording['samples']} samples, {error}"
 
 
@@ -191,38 +190,40 @@ def run_command(output: Output, plan: Path, refine: int) -> int:
     from armctl.trajectory.plan import plan_from_text
 
     wanted = plan_from_text(read_text(plan, "plan"), str(plan)).model_dump()
-    result = output.carry_out(
-        "running", "run", {"plan": wanted, "refine": refine}, kept=RECORDED, told=partial(_tell_run, output)
-    )
+    return refined(output, "running", "run", {"plan": wanted, "refine": refine}, WANTED)
+
+
+def refined(output: Output, doing: str, what: str, asked: dict[str, Any], wanted: str) -> int:
+    """Do something that the daemon may refine, and show every round; the exit status.
+
+    Args:
+        wanted: Where the tool was to be, in words.
+    """
+
+    def tell(told: dict[str, Any]) -> None:
+        if "warning" in told:
+            output.warned(told)
+        else:
+            output.warn(f"after {told['runs']} of at most {told['of']} runs, {_in_words(told['round'], wanted)}")
+
+    result = output.carry_out(doing, what, asked, kept=RECORDED, told=tell)
     if not output.json:
-        _show_rounds(output, result)
-    output.answer(result, off=off(result, WANTED))
+        for row in result.get("rounds", ()):
+            output.say(_in_words(row, wanted))
+        if result.get("ended"):
+            output.say(f"ended before its time: {result['ended']['code']}: {result['ended']['text']}")
+        if "plan" in result:
+            output.say(f"the best one: armctl {what} {result['plan']}")
+    output.answer(result, off=off(result, wanted))
     return 1 if result.get("ended") else 0
 
 
-def _tell_run(output: Output, told: dict[str, Any]) -> None:
-    """What the daemon tells between the runs of a refinement."""
-    if "warning" in told:
-        output.warned(told)
-    else:
-        output.warn(f"after {told['runs']} of at most {told['of']} runs, {_in_words(told['round'])}")
-
-
-def _in_words(row: dict[str, Any]) -> str:
+def _in_words(row: dict[str, Any], wanted: str) -> str:
     """A round of a refinement, as whoever has never seen one understands it."""
-    error = off(row, WANTED, 2)
+    error = off(row, wanted, 2)
     if row["round"] == 0:
-        return f"the plan as it was: {error}"
+        return f"as it was: {error}"
     return f"correction {row['round']}: {error}, {'kept' if row['kept'] else 'not better by more than noise: not kept'}"
-
-
-def _show_rounds(output: Output, result: dict[str, Any]) -> None:
-    for row in result.get("rounds", ()):
-        output.say(_in_words(row))
-    if result.get("ended"):
-        output.say(f"ended before its time: {result['ended']['code']}: {result['ended']['text']}")
-    if "plan" in result:
-        output.say(f"the best plan: armctl run {result['plan']}")
 
 
 @command("play", SOCKET)

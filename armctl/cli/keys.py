@@ -36,8 +36,7 @@ class TerminalKeys:
     """
 
     def __init__(self, fd: int | None) -> None:
-        self._fd = fd
-        self._pressed = b""
+        self._fd, self._pressed = fd, b""
         # The terminal's mode before this process set it; None: it has not.
         self._before: list[Any] | None = None
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -135,7 +134,7 @@ def jacobian_command(output: Output, robot: Robot, q: tuple[float, ...], deg: bo
 
     J = jacobian(robot.chain, _configuration(robot, "--q", q, deg))
     found = dexterity(J)
-    result = {"J": J.tolist(), **asdict(found), "singular_values": found.singular_values.tolist()}
+    result = {"J": J.tolist(), **found._asdict(), "singular_values": found.singular_values.tolist()}
     singular = "" if found.rank == min(J.shape) else "   singular"
     told = f"rank {found.rank}, manipulability {found.manipulability:.6g}{singular}"
     output.answer(result, f"{_matrix(J.tolist())}\n{told}")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict
 from os.path import basename
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -164,7 +163,7 @@ def recover(output: Output, log: Path) -> None:
     from armctl.recording import recover as recovery
 
     result = recovery.recover(log)
-    output.answer(asdict(result) | {"path": str(result.path)})
+    output.answer(result._asdict() | {"path": str(result.path)})
 
 
 @command("export", group=log_command)
@@ -220,7 +219,7 @@ def merge(output: Output, logs: tuple[Path, ...], out: Path) -> None:
 
 
 def _edited(output: Output, result: Any) -> None:
-    answer = asdict(result) | {"path": str(result.path)}
+    answer = result._asdict() | {"path": str(result.path)}
     output.answer(answer, f"{result.messages} messages, {result.duration_s:.1f} s: {result.path}")
     if result.damaged:
         output.warn(f"{result.damaged} damaged places were left out")

@@ -7,8 +7,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from armctl.cli.jobs import refined
 from armctl.cli.keys import attended, keys
-from armctl.cli.output import HOLDS, RECORDED, SOCKET, Output, command, millimetres, off
+from armctl.cli.output import HOLDS, SOCKET, Output, command, millimetres
 from armctl.cli.tables import show_rows
 from armctl.errors import ConfigError, RequestRefused
 from armctl.files import load_arm, read_text
@@ -103,20 +104,21 @@ def _by_keys(output: Output, call: Callable[..., Any], speed_m_s: float) -> None
 
 
 @command("path", SOCKET)
-def path_command(output: Output, file: Path, **how: Any) -> None:
+def path_command(output: Output, file: Path, refine: int, **how: Any) -> int:
     """Lead the tool along the points in FILE: lines and arcs with rounded corners.
 
     FILE is a table (CSV) with a header: x_m,y_m,z_m, and kind where wanted. kind is line, or through and arc for an arc
     of a circle: from the point before through this one to the next. The whole motion is checked before it starts, and
     is recorded like a run. Ctrl-C stops the arm.
+    With --refine it is led again, corrected by what the encoders showed. What is better by more than the noise of the
+    readings is kept as a file, which is a FILE as well. Exit status 1 if something ended that before its time.
 
     Example: armctl path square.csv --duration 15
     """
     from armctl.trajectory.tool_path import path_from_text
 
-    request = path_from_text(read_text(file, "path"), str(file), **how)
-    result = output.carry_out("following the path", "path", request, kept=RECORDED)
-    output.answer(result, off=off(result, "the path as the file has it"))
+    asked = {**path_from_text(read_text(file, "path"), str(file), **how).model_dump(), "refine": refine}
+    return refined(output, "following the path", "path", asked, "the path as the file has it")
 
 
 @command("reach", SOCKET)

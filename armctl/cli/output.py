@@ -172,8 +172,7 @@ class Output:
         if "`armctl " not in text and following not in text:
             text += f"\n  next: {following}"
         self.warn(text)
-        reasons = list(getattr(error, "reasons", [str(error)]))
-        self.refused(code, str(error), reasons, following)
+        self.refused(code, str(error), list(getattr(error, "reasons", [str(error)])), following)
 
     def interrupted(self) -> None:
         """Tell that Ctrl-C ended the command, and what is now."""

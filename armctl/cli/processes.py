@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import time
-from dataclasses import asdict
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
@@ -120,7 +119,7 @@ def hand_command(output: Output, from_m: Point, to_m: Point, seed: int, let_go: 
             while (passed_s := time.monotonic() - begin_s) < plan.duration_s:
                 show(passed_s)
                 time.sleep(0.1)
-        output.result(asdict(plan))
+        output.result(plan._asdict())
 
 
 @click.group("fault")

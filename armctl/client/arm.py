@@ -41,10 +41,11 @@ Later = Coroutine[Any, Any, T]
 
 Numbers = Sequence[float] | FloatArray
 Place = Numbers | None
-Seconds = float | None
+Time = float | None
 # One tick, and its joint positions [rad], shape (joints,); those that are not known are NaN.
 Sample = tuple[Status, FloatArray]
 Points = Sequence[Numbers] | FloatArray
+Kinds = Sequence[Kind]
 
 
 class Commands(Generic[StateT, StatusT, MovedT, FollowedT, ProgrammedT]):
@@ -93,7 +94,7 @@ class Commands(Generic[StateT, StatusT, MovedT, FollowedT, ProgrammedT]):
         return self._ask("clear")
 
     def move(
-        self, *, xyz: Place = None, joints_rad: Place = None, pose: Place = None, duration_s: Seconds = None
+        self, *, xyz: Place = None, joints_rad: Place = None, pose: Place = None, duration_s: Time = None
     ) -> MovedT:
         """Go to one of: a tool point [m], joint positions [rad], or a pose x, y, z [m], roll, pitch, yaw [rad].
 
@@ -125,7 +126,7 @@ class Commands(Generic[StateT, StatusT, MovedT, FollowedT, ProgrammedT]):
         return self._ask("play", name=name, rate=rate, repeat=repeat)
 
     def path(
-        self, points_m: Points, *, kinds: Sequence[Kind] = (), duration_s: Seconds = None, tolerance_mm: float = 2.0
+        self, points_m: Points, *, kinds: Kinds = (), duration_s: Time = None, tolerance_mm: float = 2, refine: int = 0
     ) -> FollowedT:
         """Lead the tool along points [m], shape (m, 3): by a `line`, or an `arc` that goes `through` another.
 
@@ -133,8 +134,10 @@ class Commands(Generic[StateT, StatusT, MovedT, FollowedT, ProgrammedT]):
             kinds: How each point is reached; empty: by lines.
             duration_s: None: about 30 mm/s.
             tolerance_mm: How far a corner may be cut.
+            refine: Further runs at most, which correct it.
         """
-        return self._ask("path", points_m=points_m, kinds=kinds, duration_s=duration_s, tolerance_mm=tolerance_mm)
+        how = {"kinds": kinds, "duration_s": duration_s, "tolerance_mm": tolerance_mm, "refine": refine}
+        return self._ask("path", points_m=points_m, **how)
 
     def run(self, plan: str | Path, *, refine: int = 0) -> FollowedT:
         """Run the plan in a file.

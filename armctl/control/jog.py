@@ -167,8 +167,7 @@ def _slower(arm: ArmConfig, J: list[list[float]], velocity: Sequence[float]) -> 
     fastest = [min(SPEED_RAD_S, joint.speed_limit_rad_s) for joint in arm.joints]
     ratio = max(abs(v) / most for v, most in zip(velocity, fastest, strict=True))
     tool = [_dot(row, velocity) for row in J]
-    tool_m_s = math.sqrt(_dot(tool, tool))
-    ratio = max(1.0, ratio, tool_m_s / arm.tool_speed_limit_m_s)
+    ratio = max(1.0, ratio, math.sqrt(_dot(tool, tool)) / arm.tool_speed_limit_m_s)
     return [v / ratio for v in velocity]
 
 

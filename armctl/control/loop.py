@@ -43,9 +43,7 @@ class ControlLoop:
         self._identification: Identification | None = None
         self._waiting: tuple[Command, ...] = ()
         self._identify_ns = max(IDENTIFY_NS, round(IDENTIFY_SHARE * self.period_ns))
-        self._tick = 0
-        self._deadline_ns = 0
-        self._next_open_ns = 0
+        self._tick, self._deadline_ns, self._next_open_ns = 0, 0, 0
         # Whether the latest sample told of a lost port, if one is lost.
         self._loss_told = True
         self._dropped = 0
@@ -102,8 +100,7 @@ class ControlLoop:
         wait = wait or self._clock.sleep_until_ns
         while not (leave() and not self._owes()):
             wait(self._due_ns())  # before the inbox is emptied: what comes at the last moment is served by this tick
-            record = self.tick(inbox())
-            if outbox(record):
+            if outbox(self.tick(inbox())):
                 self._dropped = 0
             else:
                 self._dropped += 1

@@ -268,8 +268,7 @@ def _aimed_at(s: Tick, motion: Motion, time_s: float) -> tuple[list[int], Follow
 
 def _resists(s: Tick, grip: Grip) -> bool:
     """Whether the gripper's load stands against its goal."""
-    servo = s.status(grip.joint)
-    behind = s.wire[grip.joint].direction * (s.state.goal[grip.joint] - servo.position)
+    behind = s.wire[grip.joint].direction * (s.state.goal[grip.joint] - s.status(grip.joint).position)
     load_ratio = s.joints[grip.joint].load_ratio
     return abs(load_ratio) >= grip.load_ratio and load_ratio * behind > 0.0
 

@@ -193,8 +193,7 @@ def go_to_rest(s: Tick) -> None:
             s.events.append(Event("info", "REST_CALLED_OFF", "what sent the arm to rest is over; it holds"))
             s.go(Trigger.GIVE_UP)
         case Phase.PARK_STARTING | Phase.FAULT_STOPPING:
-            rest_rad = [joint.rest_rad for joint in joints]
-            way = approach_trajectory(s.wanted_rad(), rest_rad, s, "to rest")
+            way = approach_trajectory(s.wanted_rad(), [joint.rest_rad for joint in joints], s, "to rest")
             if lowest_link_m(way, s.robot) < s.arm.floor_m:
                 return s.give_up_rest("LIMIT", "the straight way to rest leads below the floor")
             state.motion = Motion(way, None)

@@ -61,16 +61,8 @@ def settle(s: Tick, motion: Motion) -> bool:
     if not any(changes) or now.ticks + wait + look > s.ticks_in(REST_S):
         return False
     slack = _slack_rad(s, now, errors)
-    back = _change(s, f, changes, slack)
-    motion.settling = Settling(
-        now.ticks,
-        count=now.count + 1,
-        asked=tuple(changes),
-        stuck=stuck,
-        error_rad=tuple(errors),
-        back_rad=tuple(back),
-        slack_rad=tuple(slack),
-    )
+    seen = (tuple(changes), stuck, tuple(errors), tuple(_change(s, f, changes, slack)), tuple(slack))
+    motion.settling = Settling(now.ticks, 0, (), now.count + 1, *seen)
     return True
 
 

@@ -146,6 +146,5 @@ def _servo_states(
 def _tool_pose(joints: tuple[JointState, ...], robot: Robot) -> ToolPose | None:
     if not all(joint.known for joint in joints):
         return None
-    q = [joint.position_rad for joint in joints]
-    X, Y, Z, P = tool_pose(robot.chain, q[: robot.chain.n])
+    X, Y, Z, P = tool_pose(robot.chain, [joint.position_rad for joint in joints][: robot.chain.n])
     return ToolPose(P, quaternion_from_columns(X, Y, Z))

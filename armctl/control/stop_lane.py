@@ -122,9 +122,7 @@ class StopLane:
             data = b""
         caller.received += data
         line, end, _ = caller.received.partition(b"\n")
-        if end:
-            return line
-        return None if data and len(caller.received) <= MAX_LINE else b""
+        return line if end else None if data and len(caller.received) <= MAX_LINE else b""
 
     def _close(self, caller: _Caller) -> None:
         self._callers.remove(caller)

@@ -167,8 +167,7 @@ def _answers_twice(bus: ServoBus, servo_id: int) -> Steps[bool]:
 
 def _is_doubled(bus: ServoBus, servo_id: int) -> Steps[bool]:
     yield _needs_ns(bus, STATUS_BLOCK, bus.latency_ms)
-    reply = bus.read_block(servo_id, *STATUS_BLOCK, tries=1)
-    return reply.problem == BUS_NOISE or bus.drain() > 0
+    return bus.read_block(servo_id, *STATUS_BLOCK, tries=1).problem == BUS_NOISE or bus.drain() > 0
 
 
 def _read_table(bus: ServoBus, joint: ServoJoint, tries: int = 1) -> Steps[Reply]:

@@ -140,8 +140,7 @@ def _along_line(
 
     way = slice(at_A, at_B + 1)
     q, p = q[way], p[way]
-    furthest = np.maximum.accumulate(np.concatenate([[0.0], p]))[:-1]
-    kept = (p > furthest) & (p < 1.0)
+    kept = (p > np.maximum.accumulate(np.concatenate([[0.0], p]))[:-1]) & (p < 1.0)
     ends = [q[0].copy(), q[-1].copy()]
     for end, target in zip(ends, (A, B), strict=True):
         end[: chain.n] = solve_position(chain, target, end[: chain.n], limits[: chain.n])

@@ -44,8 +44,7 @@ def window_search(table: FloatArray, genes: IntArray, begin: int, length: int) -
     free = range(begin, min(begin + length, m))
     first, last = max(begin - 2, 0), min(free.stop + 2, m)  # the triples that touch the window reach so far
     choices = [slice(None) if k in free else slice(genes[k], genes[k] + 1) for k in range(first, last)]
-    cost = [table[first + k][tuple(choices[k : k + 3])] for k in range(len(choices) - 2)]
-    chosen = shortest_path(cost)
+    chosen = shortest_path([table[first + k][tuple(choices[k : k + 3])] for k in range(len(choices) - 2)])
     better = genes.copy()
     better[free.start : free.stop] = chosen[free.start - first : free.stop - first]
     return better

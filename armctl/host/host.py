@@ -294,8 +294,7 @@ class Host:
                     lease.refuse_if_over()
                     lease.begun, self._watch = True, (watch := Watch())
                     self.exchange.forget_hold()  # a stop from now on is a new one
-                    reply = await self._run_to_its_end(trajectory, lease.rate)
-                    done.append(Done(trajectory, watch, reply))
+                    done.append(Done(trajectory, watch, await self._run_to_its_end(trajectory, lease.rate)))
                     end_ns = watch.time_ns[-1] + TAIL_NS
                     while len(done) == len(legs) and watch.time_ns[-1] < end_ns:
                         await self.tick()

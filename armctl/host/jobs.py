@@ -15,10 +15,10 @@ import signal
 import time
 import traceback
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, cast
+from typing import Annotated, Any, NamedTuple, TypeVar, cast
 
 from pydantic import Field
 
@@ -138,8 +138,7 @@ class RecordedRequest(OptimizeRequest):
     via: Annotated[ViaCounts, Field(min_length=1)]
 
 
-@dataclass(frozen=True, slots=True)
-class OptimizeJob:
+class OptimizeJob(NamedTuple):
     """One optimisation with what it needs besides: where the recordings lie, and whose they are."""
 
     arm: ArmConfig
@@ -188,8 +187,7 @@ def optimize_task(job: OptimizeJob, progress: Progress) -> dict[str, Any]:
         progress(generation, best, mean)
 
     robot = robots.get(arm.robot, arm.lengths_m)
-    takes = [recording.positions_rad for recording in loaded]
-    result = optimize(takes, arm, robot, request, timed)
+    result = optimize([recording.positions_rad for recording in loaded], arm, robot, request, timed)
     if not result.feasible:
         least_s = result.least_duration_s
         remedy = f"give {least_s:.1f} s or more" if least_s is not None else "record steadier takes"

@@ -87,8 +87,7 @@ class Learner:
         origin_ns = watch.now_ns[begin]
 
         def since_s(times_ns: Sequence[object]) -> FloatArray:
-            since_ns = np.array(times_ns[begin:], dtype=np.int64) - origin_ns
-            return np.asarray(since_ns / np.float64(NS_PER_S))
+            return np.asarray((np.array(times_ns[begin:], dtype=np.int64) - origin_ns) / np.float64(NS_PER_S))
 
         ticks = zip(*watch.goals[begin:], strict=True)
         goals = [[joint.position_rad(tick) for tick in row] for joint, row in zip(self.arm.joints, ticks, strict=True)]

@@ -4,7 +4,6 @@ import asyncio
 import contextlib
 import itertools
 from collections.abc import Awaitable, Callable
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -23,7 +22,7 @@ from armctl.host.jobs import OptimizeJob, RecordedRequest
 from armctl.host.jsonrpc import error_data
 from armctl.host.motions import move, path, play, run, transfer
 from armctl.host.reach import grip, reach
-from armctl.host.refining import MOST_FURTHER, refine
+from armctl.host.refining import MOST_FURTHER, refine, refine_path
 from armctl.host.server import PERSON, Connection, Method
 from armctl.kinematics.chain import tool_position
 from armctl.recording import recordings
@@ -95,6 +94,10 @@ class RunRequest(HowToRun):
     plan: Plan
 
 
+class PathRun(PathRequest):
+    refine: int = Field(0, ge=0, le=MOST_FURTHER)
+
+
 class Rate(Frozen):
     rate: float = Field(ge=0.1, le=1.0)
 
@@ -146,8 +149,7 @@ class Methods:
     """The table of methods over one host, and the optimisation under way."""
 
     def __init__(self, host: Host, recordings_dir: Path, run_optimisation: RunOptimisation) -> None:
-        self._host = host
-        self._recordings_dir = recordings_dir
+        self._host, self._recordings_dir = host, recordings_dir
         self._plans_dir = recordings_dir.parent / "plans"
         self._run_optimisation = run_optimisation
         self._job_ids = itertools.count(1)
@@ -169,7 +171,7 @@ class Methods:
             "take_end": Method(Nothing, lambda client, _: teaching.take_end(host, client)),
             "teach_end": Method(Nothing, lambda client, _: teaching.end(host, client)),
             "run": Method(RunRequest, self._run),
-            "path": Method(PathRequest, partial(path, host)),
+            "path": Method(PathRun, self._lead),
             "play": Method(PlayRequest, self._play),
             "move": Method(MoveRequest, partial(move, host)),
             "reach": Method(ReachRequest, partial(reach, host)),
@@ -193,7 +195,7 @@ class Methods:
             "optimize": Method(RecordedRequest, self._optimize),
         }
         return {
-            name: method if method.observes or name in UNNOTED else replace(method, handle=self._noted(name, method))
+            name: method if method.observes or name in UNNOTED else method._replace(handle=self._noted(name, method))
             for name, method in methods.items()
         }
 
@@ -234,6 +236,12 @@ class Methods:
         if not p.refine:
             return await run(self._host, client, p.plan, corrected=p.corrected)
         return await refine(self._host, client, p.plan, p.refine, self._plans_dir, corrected=p.corrected)
+
+    async def _lead(self, client: Connection, p: PathRun) -> dict[str, Any]:
+        request = PathRequest.model_validate(p.model_dump(exclude={"refine"}))
+        if not p.refine:
+            return await path(self._host, client, request)
+        return await refine_path(self._host, client, request, p.refine, self._plans_dir)
 
     async def _optimize(self, client: Connection, p: RecordedRequest) -> dict[str, Any]:
         if self._job is not None:

@@ -64,15 +64,31 @@ async def path(host: Host, client: Client, request: PathRequest) -> dict[str, An
         RequestRefused: PATH, pre-flight (every reason), BUSY, stopped or failed on the way.
         LogError: the recording cannot be made.
     """
-    wanted: list[PathMotion] = []
+    leg, made = path_leg(host, request)
+    name, [done] = await host.execute(client, "path", [leg], path_note(request))
+    return {"recording": name, **path_result(made, host.robot, done)}
+
+
+def path_note(request: PathRequest) -> dict[str, Any]:
+    """What the recording of a path says of it."""
+    return {"event": "PATH", **request.model_dump(exclude_none=True)}
+
+
+def path_leg(host: Host, request: PathRequest) -> tuple[Leg, list[PathMotion]]:
+    """The motion along a path, and where it puts what it has made."""
+    made: list[PathMotion] = []
 
     def make(q_now: Sequence[float]) -> JointTrajectory:
-        wanted.append(path_motion(request, q_now, host))
-        return wanted[0].trajectory
+        made.append(path_motion(request, q_now, host))
+        return made[-1].trajectory
 
-    name, [done] = await host.execute(client, "path", [make], {"event": "PATH", **request.model_dump()})
-    predicted = {f"predicted_{key}": value for key, value in error_mm(wanted[0].rounding_m).items()}
-    return {"recording": name, **followed([done], wanted[0].reference, host.robot), **predicted}
+    return make, made
+
+
+def path_result(made: Sequence[PathMotion], robot: Robot, done: Done) -> dict[str, Any]:
+    """The executed path, made last, against the one that was asked for; raises as `followed`."""
+    predicted = {f"predicted_{key}": value for key, value in error_mm(made[-1].rounding_m).items()}
+    return {**followed([done], made[-1].reference, robot), **predicted}
 
 
 async def play(host: Host, client: Client, motion: Callable[[], TaughtMotion], request: PlayRequest) -> dict[str, Any]:
@@ -141,8 +157,7 @@ def move_trajectory(request: MoveRequest, q_now: Sequence[float], on: Driven) ->
 
     def way(goal: Sequence[float]) -> JointTrajectory:
         trajectory = approach_trajectory(q_now, goal, on, "move", request.duration_s)
-        positions = np.array(trajectory.positions_rad)
-        if reasons := preflight_motion(positions, on, start_rad=q_now):
+        if reasons := preflight_motion(np.array(trajectory.positions_rad), on, start_rad=q_now):
             raise RequestRefused("PREFLIGHT" if within_limits(goal, on.arm) else "LIMIT", reasons)
         return trajectory
 

@@ -1,7 +1,8 @@
-"""A plan that is run, and corrected by further runs, on an arm that serves people.
+"""A plan or a path that is run, and corrected by further runs, on an arm that serves people.
 
 Rules.
-1. What is learnt and what is kept stands in `trajectory/refinement.py`; computing waits in a thread, not in the loop.
+1. What is learnt of a plan and when it is kept stands in `trajectory/refinement.py`, what is learnt of a path in
+   `trajectory/path_motion.py`; computing waits in a thread, not in the loop.
 2. All of it is one request and one lease. Anybody may stop or pause it, in a run or between two.
 3. Each run is a recording. The best plan so far is a file as soon as it is known, so whatever ends the refinement,
    a client that leaves included, nothing is lost: once there is one whole run, the answer tells what was reached.
@@ -10,23 +11,28 @@ Rules.
 """
 
 import asyncio
-from dataclasses import replace
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from armctl.clock import NS_PER_S
+from armctl.config import Frozen
 from armctl.errors import LogError, RequestRefused
 from armctl.host.host import Host
 from armctl.host.lease import Client, Lease
-from armctl.host.motions import line_result, plan_note, run_leg
-from armctl.host.watch import Done
+from armctl.host.motions import line_result, path_leg, path_note, path_result, plan_note, run_leg
+from armctl.host.watch import Done, Leg
 from armctl.recording.disk import put
+from armctl.trajectory import refinement
 from armctl.trajectory.course import course_of
+from armctl.trajectory.path_motion import PathMotion, path_seen_mm, relearnt
 from armctl.trajectory.plan import Plan, plan_to_text
 from armctl.trajectory.refinement import Measured, Refinement, Round, following, seen_mm, waited_long
+from armctl.trajectory.tool_path import PathRequest
 
 MOST_FURTHER = 20
 # Runs in a row that may be disturbed.
@@ -47,23 +53,109 @@ async def refine(
         LogError: the first run's recording or the plan cannot be written.
     """
     with host.leases.commanding(client, "run") as lease:
-        return await _Job(host, lease, plan, further, folder, corrected).done()
+        return await _OfPlan(host, lease, further, folder, f"via-{plan.via}").done(plan, corrected)
 
 
-class _Job:
-    def __init__(self, host: Host, lease: Lease, plan: Plan, further: int, folder: Path, corrected: bool) -> None:
-        self.host, self.lease, self.plan, self.corrected = host, lease, plan, corrected
+async def refine_path(host: Host, client: Client, request: PathRequest, further: int, folder: Path) -> dict[str, Any]:
+    """Lead the tool along a path, and correct it by at most so many further runs; else as `refine`."""
+    with host.leases.commanding(client, "path") as lease:
+        return await _OfPath(host, lease, further, folder, "path").done(request)
+
+
+class _Runs:
+    """What is run under one lease, and what is kept of it."""
+
+    def __init__(self, host: Host, lease: Lease, further: int, folder: Path, what: str) -> None:
+        self.host, self.lease = host, lease
         self.runs, self.most = 0, 1 + further
-        self.work: Refinement | None = None
         # The answer of each run, by its recording.
         self.results: dict[str, dict[str, Any]] = {}
-        self.path = folder / f"refined-via-{plan.via}-{datetime.now(UTC):%Y%m%dT%H%M%S.%f}Z.json"
-        self.kept: Plan | None = None
+        self.path = folder / f"refined-{what}-{datetime.now(UTC):%Y%m%dT%H%M%S.%f}Z.json"
+        self.kept: Frozen | None = None
 
-    async def done(self) -> dict[str, Any]:
+    async def run(self, leg: Leg, note: dict[str, Any], result_of: Callable[[Done], dict[str, Any]]) -> Measured:
+        """A run that nothing disturbed.
+
+        Raises:
+            RequestRefused: it may not run, was stopped or failed, or every run was disturbed.
+        """
+        for _ in range(min(TRIES, self.most - self.runs)):
+            self.runs += 1
+            name, [done] = await self.host.carry_out(self.lease, [leg], note)
+            result = self.results[name] = {"recording": name, **result_of(done)}
+            wanted_s = done.trajectory.end_s - done.trajectory.begin_s
+            if not waited_long(wanted_s, result["duration_s"], self.host.period_s):
+                return measured(name, done)
+            self.lost()
+        raise RequestRefused(
+            "DISTURBED",
+            f"the run took {result['duration_s']:.2f} s instead of {wanted_s:.2f} s: it was paused, or servos "
+            "miss readings and the arm waits for them; see `armctl doctor`",
+        )
+
+    def lost(self) -> None:
+        """A run was made that tells nothing."""
+
+    def tell(self, row: dict[str, Any]) -> None:
+        self.lease.client.notify("progress", {"runs": self.runs, "of": self.most, "round": row})
+
+    def row(self, number: int, kept: bool, runs: Sequence[Measured]) -> dict[str, Any]:
+        results = [self.results[run.recording] for run in runs]
+        return {
+            "round": number,
+            **{key: float(np.mean([result[key] for result in results])) for key in ("mean_error_mm", "max_error_mm")},
+            "kept": kept,
+            "recordings": [result["recording"] for result in results],
+        }
+
+    def keep(self, what: Frozen) -> None:
+        """Write the best so far, in place of the one before it."""
+        if what is not self.kept:
+            put(self.path, plan_to_text(what))
+        self.kept = what
+
+    def answer(self, best: Measured, rows: list[dict[str, Any]], ended: RequestRefused | None) -> dict[str, Any]:
+        told = {"code": ended.code, "text": str(ended)} if ended else None
+        answer = {**self.results[best.recording], "rounds": rows, "plan": str(self.path), "ended": told}
+        self.host.note({"event": "REFINED", **{key: answer[key] for key in ("rounds", "plan", "ended")}})
+        return answer
+
+
+class _OfPath(_Runs):
+    async def done(self, request: PathRequest) -> dict[str, Any]:
         """Everything; the answer."""
+        host, rows = self.host, list[dict[str, Any]]()
+        best: tuple[float, PathRequest, PathMotion, Measured] | None = None
+        ended, unkept = None, 0
+        while self.runs < self.most and unkept < refinement.PATIENCE:
+            leg, made = path_leg(host, request)
+            try:
+                run = await self.run(leg, path_note(request), partial(path_result, made, host.robot))
+                seen_mm = await asyncio.to_thread(path_seen_mm, request, made[-1], run, host)
+                kept = best is None or seen_mm + 2.0**0.5 * refinement.NOISE_MM < best[0]
+                best, unkept = ((seen_mm, request, made[-1], run), 0) if best is None or kept else (best, unkept + 1)
+                self.keep(best[1])
+            except (RequestRefused, LogError) as error:
+                if best is None:
+                    raise
+                ended = error if isinstance(error, RequestRefused) else RequestRefused("LOG", str(error))
+                break
+            rows.append(self.row(len(rows), kept, [run]))
+            self.tell(rows[-1])
+            gain = refinement.GAINS[min(len(rows), len(refinement.GAINS) - 1)] * refinement.LESS**unkept
+            request = await asyncio.to_thread(relearnt, *best[1:], host, gain)
+        assert best is not None
+        return self.answer(best[3], rows, None if ended and ended.code in refinement.ASTRAY else ended)
+
+
+class _OfPlan(_Runs):
+    work: Refinement | None = None
+
+    async def done(self, plan: Plan, corrected: bool) -> dict[str, Any]:
+        """Everything; the answer."""
+        self.plan, self.corrected = plan, corrected
         first = await self._measured(self.plan)
-        self._keep(self.plan)
+        self.keep(self.plan)
         work = self.work = await asyncio.to_thread(self._begun, first)
         steps, ended = work.steps(), None
         try:
@@ -77,59 +169,30 @@ class _Job:
                 except LogError as error:  # what was reached is no worse for it
                     raise RequestRefused("LOG", str(error)) from None
                 one = await asyncio.to_thread(following, steps, told)
-                self._keep(work.best.plan)
+                self.keep(work.best.plan)
         except RequestRefused as refusal:
-            ended = {"code": refusal.code, "text": str(refusal)}
+            ended = refusal
         self._tell(work)
-        result = self.results[work.best.runs[-1].recording]
-        answer = {**result, "rounds": [self._row(one) for one in work.rounds], "plan": str(self.path), "ended": ended}
-        self.host.note({"event": "REFINED", "rounds": answer["rounds"], "plan": answer["plan"], "ended": ended})
-        return answer
+        rows = [self.row(one.number, one.kept, one.runs) for one in work.rounds]
+        return self.answer(work.best.runs[-1], rows, ended)
 
     def _begun(self, first: Measured) -> Refinement:
         one = Round(0, course_of(self.host, self.plan), self.plan, (first,), (), self.corrected)
-        one = replace(one, run_mm=(seen_mm(self.host, one, first),))
+        one = one._replace(run_mm=(seen_mm(self.host, one, first),))
         return Refinement(self.host, one, self.most - 1, further=self.most - self.runs)
 
     async def _measured(self, plan: Plan) -> Measured:
-        """A run of the plan that nothing disturbed.
+        host, corrected = self.host, self.corrected
+        leg, note = run_leg(host, plan, corrected=corrected), plan_note(plan, corrected=corrected)
+        return await self.run(leg, note, lambda done: line_result(plan, done, host.robot))
 
-        Raises:
-            RequestRefused: the plan may not run, was stopped or failed, or every run was disturbed.
-        """
-        for _ in range(min(TRIES, self.most - self.runs)):
-            self.runs += 1
-            legs, note = [run_leg(self.host, plan, corrected=self.corrected)], plan_note(plan, corrected=self.corrected)
-            name, [done] = await self.host.carry_out(self.lease, legs, note)
-            result = self.results[name] = {"recording": name, **line_result(plan, done, self.host.robot)}
-            if not waited_long(plan, result["duration_s"], self.host.period_s):
-                return measured(name, done)
-            if self.work is not None:
-                self.work.lost()
-        raise RequestRefused(
-            "DISTURBED",
-            f"the run took {result['duration_s']:.2f} s instead of {plan.duration_s:.2f} s: it was paused, or servos "
-            "miss readings and the arm waits for them; see `armctl doctor`",
-        )
+    def lost(self) -> None:
+        if self.work is not None:
+            self.work.lost()
 
     def _tell(self, work: Refinement) -> None:
-        row = self._row(work.rounds[-1])
-        self.lease.client.notify("progress", {"runs": self.runs, "of": self.most, "round": row})
-
-    def _row(self, one: Round) -> dict[str, Any]:
-        results = [self.results[run.recording] for run in one.runs]
-        return {
-            "round": one.number,
-            **{key: float(np.mean([result[key] for result in results])) for key in ("mean_error_mm", "max_error_mm")},
-            "kept": one.kept,
-            "recordings": [result["recording"] for result in results],
-        }
-
-    def _keep(self, plan: Plan) -> None:
-        """Write the best plan, in place of the one before it."""
-        if plan is not self.kept:
-            put(self.path, plan_to_text(plan))
-        self.kept = plan
+        one = work.rounds[-1]
+        self.tell(self.row(one.number, one.kept, one.runs))
 
 
 def measured(name: str, done: Done) -> Measured:

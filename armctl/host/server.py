@@ -22,7 +22,7 @@ from collections import deque
 from collections.abc import Awaitable, Callable, Mapping
 from contextvars import ContextVar
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from pydantic import BaseModel
 
@@ -63,17 +63,13 @@ class Connection:
         pid, self.uid = credentials(writer.get_extra_info("socket"))
         self.name = f"pid {pid} (uid {self.uid})"
         self.commands = may_command(self.uid)
-        self.asked = False
-        self.heard_s = 0.0
-        self.subscribed = False
-        self._holds_lease = holds_lease
+        self.asked, self.heard_s, self.subscribed, self._holds_lease = False, 0.0, False, holds_lease
         self.requests: set[asyncio.Task[None]] = set()
         self._writer = writer
         self._lines: deque[bytes] = deque()
         self._unsent_bytes = 0
         self._snapshots: deque[bytes] = deque(maxlen=MAX_SNAPSHOTS)
-        self._gap = 0
-        self._finishing = False
+        self._gap, self._finishing = 0, False
         self._wake = asyncio.Event()
         # Whatever the kernel has not taken counts as no progress.
         writer.transport.set_write_buffer_limits(high=0)
@@ -156,8 +152,7 @@ class Connection:
         return None
 
 
-@dataclass(frozen=True)
-class Method:
+class Method(NamedTuple):
     """One thing a client can ask for: its parameters, and what carries it out."""
 
     params: type[BaseModel]

@@ -49,11 +49,7 @@ class Takes:
     def log(self) -> dict[str, Any]:
         """Where the log goes, why it does not, and how many ticks the recorder was too slow for."""
         of = self._recorder
-        return {
-            "path": of.log_path and str(of.log_path),
-            "problem": of.problem,
-            "recorder_dropped": of.dropped_records,
-        }
+        return {"path": of.log_path and str(of.log_path), "problem": of.problem, "recorder_dropped": of.dropped_records}
 
     @asynccontextmanager
     async def around(self, name: str) -> AsyncIterator[str]:

@@ -5,6 +5,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from typing import NamedTuple
 
 import numpy as np
 
@@ -70,8 +71,7 @@ class Watch:
                 self.marks_ns[event.code] = record.inputs.sample.time_ns
 
 
-@dataclass(frozen=True)
-class Done:
+class Done(NamedTuple):
     """A leg that was run to its end."""
 
     trajectory: JointTrajectory

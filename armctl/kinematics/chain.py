@@ -87,8 +87,7 @@ class SerialChain:
 def _exact_cos_sin(angle: float) -> tuple[float, float]:
     """The twists of real arms are multiples of 90 deg, as near as a float comes to them: theirs are kept exact."""
     quarter = angle / (np.pi / 2.0)
-    exact = abs(quarter - round(quarter)) < 1e-14
-    return QUARTER_TURNS[round(quarter) % 4] if exact else cos_sin(angle)
+    return QUARTER_TURNS[round(quarter) % 4] if (abs(quarter - round(quarter)) < 1e-14) else cos_sin(angle)
 
 
 def blocks(count: int, size: int = BLOCK) -> Iterator[slice]:
@@ -259,9 +258,7 @@ def _moved(X: Column, Y: Column, Z: Column, P: Column, row: DHRow) -> Frame:
 
 
 def _shifted(P: Column, axis: Column, length: float) -> Column:
-    if length == 0.0:
-        return P
-    return axis[0] * length + P[0], axis[1] * length + P[1], axis[2] * length + P[2]
+    return P if length == 0.0 else (axis[0] * length + P[0], axis[1] * length + P[1], axis[2] * length + P[2])
 
 
 def _twisted(U: Column, V: Column, c: float, s: float) -> tuple[Column, Column]:

@@ -7,7 +7,7 @@ omega_{i-1}, and every origin moving with them:
     d(z_i x (p - o_i))/dt = (omega_{i-1} x z_i) x (p - o_i) + z_i x (v_tool - v_{o_i})
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,8 +21,7 @@ DAMPING_REGION = 0.05
 MOST_DAMPING = 0.05
 
 
-@dataclass(frozen=True)
-class Dexterity:
+class Dexterity(NamedTuple):
     """What the Jacobian allows at one configuration."""
 
     rank: int

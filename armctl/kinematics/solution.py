@@ -311,8 +311,7 @@ def _slid(robot: Robot, target: Target, q: FloatArray, present: FloatArray, limi
         tried = (now[:, None, None] + steps[..., None] * ways[:, :, None]).reshape(len(now), -1, len(limits))
         tried = within_a_turn(tried, limits)
         tried_cost = _cost(tried, present, limits)
-        best = tried_cost.argmin(axis=1)
-        moved = _refined(robot, target, tried[np.arange(len(now)), best], limits)
+        moved = _refined(robot, target, tried[np.arange(len(now)), tried_cost.argmin(axis=1)], limits)
         moved_cost = np.where(_errors(robot, target, moved)[2], _cost(moved, present, limits), np.inf)
         better = moved_cost < cost[open_] - SAME_RAD
         q[open_[better]], cost[open_[better]] = moved[better], moved_cost[better]
@@ -347,5 +346,4 @@ def _polished(robot: Robot, target: Target, q: FloatArray) -> FloatArray:
     """The configurations brought onto the target, each near where it was; as they are where that does not succeed."""
     refined = _refined(robot, target, q, _whole_turns(robot))
     reached = _errors(robot, target, refined)[2]
-    near = q + (refined - q + np.pi) % (2.0 * np.pi) - np.pi
-    return np.where(reached[:, None], near, q)
+    return np.where(reached[:, None], q + (refined - q + np.pi) % (2.0 * np.pi) - np.pi, q)

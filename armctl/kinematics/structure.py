@@ -125,8 +125,7 @@ class _Axes:
 
     def pitches(self) -> int:
         """How many joints from the second on turn about the same direction."""
-        parallel = np.abs(np.abs(self.z[1:, 1]) - 1.0) < SAME
-        return int(np.argmin([*parallel, False]))
+        return int(np.argmin([*(np.abs(np.abs(self.z[1:, 1]) - 1.0) < SAME), False]))
 
     @property
     def level(self) -> bool:
@@ -150,8 +149,7 @@ def _planar(on: _Axes, pitches: int, *, roll: bool) -> Candidate:
         raise ConfigError("structure", "", "a link without length")
     shoulder = 0.0 if roll else -float(on.at[-1][1])
     form = PlanarArm(lengths, height=float(height), a1=float(a1), shoulder=shoulder, roll=roll)
-    directions = np.arctan2(links[:, 1], links[:, 0])
-    turns = np.diff(directions, prepend=0.0)
+    turns = np.diff(np.arctan2(links[:, 1], links[:, 0]), prepend=0.0)
     first = DHRow(a=float(a1), alpha=QUARTER, d=float(height))
     second = DHRow(a=lengths[0], d=shoulder)
     if not roll:
@@ -173,8 +171,7 @@ def _spherical(on: _Axes) -> Candidate:
     else:
         wrist = on.at[3] + e4 * float(np.cross(on.at[5] - on.at[3], e6) @ across / (across @ across))
     # x of link 3 lies a quarter turn behind axis 4, in the arm's plane.
-    pitch = np.array([0.0, -1.0, 0.0])
-    x3 = np.cross(e4, pitch)
+    x3 = np.cross(e4, np.array([0.0, -1.0, 0.0]))
     forearm = wrist - on.at[2]
     a2, a3, d4 = float(np.linalg.norm(upper)), float(forearm @ x3), float(forearm @ e4)
     d6, shoulder = float((on.at[-1] - wrist) @ e6), -float(wrist[1])

@@ -114,8 +114,7 @@ def _frame(T: FloatArray) -> str:
 
 
 def _joint(name: str, kind: str, parent: str, child: str, *lines: str) -> list[str]:
-    ends = f'<parent link="{parent}"/><child link="{child}"/>'
-    inside = [f"    {line}" for line in (ends, *lines)]
+    inside = [f"    {line}" for line in (f'<parent link="{parent}"/><child link="{child}"/>', *lines)]
     return [f'  <joint name="{name}" type="{kind}">', *inside, "  </joint>"]
 
 

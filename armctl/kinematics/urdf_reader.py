@@ -8,9 +8,8 @@ Rules.
 """
 
 import math
-from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
@@ -28,8 +27,7 @@ TURNING = ("revolute", "continuous")
 MM = 0.001
 
 
-@dataclass(frozen=True)
-class UrdfChain:
+class UrdfChain(NamedTuple):
     """What a URDF says of a chain."""
 
     # For `robot` of an arm's file, see `ChainTable`.

@@ -1,7 +1,6 @@
 """Plans run and corrected on a rig, by the rules of `trajectory/refinement.py`."""
 
 from collections.abc import Iterable
-from dataclasses import replace
 
 from armctl.errors import RequestRefused
 from armctl.lab.course import too_heavy
@@ -20,7 +19,7 @@ def run(rig: Rig, course: Course, plan: Plan, number: int, *, corrected: bool = 
     """
     measured = rig.run(plan, corrected=corrected)
     one = Round(number, course, plan, (measured,), (), corrected)
-    return replace(one, run_mm=(seen_mm(rig, one, measured),))
+    return one._replace(run_mm=(seen_mm(rig, one, measured),))
 
 
 def first_run(rig: Rig, candidates: Iterable[Course], model: LagModel | None, seed: int, *, corrected: bool) -> Round:

@@ -210,7 +210,7 @@ def _ran(session: _Session, out: Path, plan: Plan, goals: Goals, answer: dict[st
         raise RequestRefused("SIMULATOR", "the simulator kept no truth of this run")
     seen = measured_run(_recording(out, answer["recording"]), answer["duration_s"])
     true_time_s = (truth.time_ns - answer["begin_ns"]) / NS_PER_S
-    return _Ran(plan, goals, answer, replace(seen, true_time_s=true_time_s, true_tool_m=truth.tool_m))
+    return _Ran(plan, goals, answer, seen._replace(true_time_s=true_time_s, true_tool_m=truth.tool_m))
 
 
 def _learn(rig: DaemonRig, config: Config, runs: list[_Ran], stage: Stage) -> None:
@@ -220,7 +220,8 @@ def _learn(rig: DaemonRig, config: Config, runs: list[_Ran], stage: Stage) -> No
     a new arm.
     """
     with stage("learning how it lags", 1) as show:
-        seen = [(r.plan, r.measured) for r in runs if not waited_long(r.plan, r.measured.duration_s, rig.period_s)]
+        timely = (r for r in runs if not waited_long(r.plan.duration_s, r.measured.duration_s, rig.period_s))
+        seen = [(r.plan, r.measured) for r in timely]
         if seen:
             sag_file.save(config, sag_identification.learnt(rig, seen))
         show(1, f"from {len(seen)} runs")

@@ -8,7 +8,7 @@ last is then run `repeats` times anew: those runs are the experiment's rows, so 
 import os
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -116,8 +116,7 @@ def on_virtual_arm(arm: ArmConfig, asked: Asked, period_s: float, config: Config
     if not takes:
         with suppress(UnreachableTarget):  # the hand cannot lead the arm along all of the line
             takes = guided_takes(rig, line, asked.seed, stage)
-        rest_rad = [joint.rest_rad for joint in arm.joints]
-        back = approach_trajectory(rig.goals_rad, rest_rad, rig, "to rest")
+        back = approach_trajectory(rig.goals_rad, [joint.rest_rad for joint in arm.joints], rig, "to rest")
         if preflight_motion(np.array(back.positions_rad), rig):
             rig = at_rest()
     found = _report(rig, line, asked, identified(rig, asked.rounds, asked.seed, stage), takes, stage)
@@ -137,7 +136,7 @@ def _line(rig: Rig, asked: Asked, config: Config) -> Line:
         return asked.line
     file, name = asked.measured
     run = recordings.load(_recording_path(config, name))
-    return replace(asked.line, unseen_m=measured_tool.unseen_m(*measured_tool.read(file), run, rig.robot.chain))
+    return asked.line._replace(unseen_m=measured_tool.unseen_m(*measured_tool.read(file), run, rig.robot.chain))
 
 
 def _report(
@@ -209,7 +208,7 @@ def run_rounds(
     before = correction.first_run(rig, offered, model, seed, corrected=False)
     tell(before)
     if rounds == 0:
-        return [replace(before, kept=True)]
+        return [before._replace(kept=True)]
     if not rig.arm.correction:
         return correction.refine(rig, before, rounds, tell)
     if model is not None:
@@ -220,7 +219,7 @@ def run_rounds(
         return [before, *correction.refine(rig, first, rounds - 1, tell)]
     # The correction does harm: its model is of another arm, or the arm has changed.
     start, *later = correction.refine(rig, before, rounds - 1, tell)
-    return [start, first, *(replace(one, number=one.number + 1) for one in later)]
+    return [start, first, *(one._replace(number=one.number + 1) for one in later)]
 
 
 def identified(rig: Rig, rounds: int, seed: int, stage: Stage = silent) -> LagModel | None:
@@ -241,8 +240,7 @@ def drawn_ways(rig: Rig, line: Line, seed: int) -> FloatArray:
     Raises:
         RequestRefused: the line cannot be followed.
     """
-    rng = np.random.default_rng(seed)
-    return line_paths(rig, line, rng, most=course.DRAWN_WAYS)
+    return line_paths(rig, line, np.random.default_rng(seed), most=course.DRAWN_WAYS)
 
 
 def _held_as_taught(rig: Rig, line: Line, path: FloatArray, ways: FloatArray) -> FloatArray:

@@ -1,8 +1,5 @@
 """The tool measured from outside, by a camera or a tracker, and what that shows that no encoder sees."""
 
-import csv
-import math
-from io import StringIO
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +9,7 @@ from armctl.files import read_text
 from armctl.kinematics.chain import SerialChain, tool_position
 from armctl.kinematics.transform import FloatArray
 from armctl.recording.recordings import Recording
+from armctl.strict_yaml import csv_table, finite
 from armctl.trajectory.interpolate import columns_at
 from armctl.trajectory.refinement import smoothed
 
@@ -29,19 +27,9 @@ def read(path: Path) -> tuple[FloatArray, FloatArray]:
     Raises:
         ConfigError: the file cannot be read, or is not such a table; names line and column.
     """
-    reader = csv.DictReader(StringIO(read_text(path, "measurement")))
-    missing = [column for column in COLUMNS if column not in (reader.fieldnames or ())]
-    if missing:
-        raise ConfigError(str(path), missing[0], f"no such column; the table needs {', '.join(COLUMNS)}")
-    rows = []
-    for row in reader:
-        try:
-            values = [float(row[column]) for column in COLUMNS]
-        except (TypeError, ValueError):
-            values = [math.nan]
-        if not all(map(math.isfinite, values)):
-            raise ConfigError(str(path), f"line {reader.line_num}", "not four finite numbers")
-        rows.append(values)
+    remedy = f"the table needs {', '.join(COLUMNS)}"
+    _, found = csv_table(read_text(path, "measurement"), str(path), COLUMNS, remedy)
+    rows = [[finite(cells[column], str(path), where) for column in COLUMNS] for where, cells in found]
     table = np.array(rows).reshape(-1, 4)
     if len(table) < 2 or not (np.diff(table[:, 0]) > 0.0).all():
         raise ConfigError(str(path), "t_s", "needs two rows or more, times increasing")

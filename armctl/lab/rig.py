@@ -171,7 +171,7 @@ class DaemonRig:
             answer = self._client.call("run", plan=plan.model_dump(mode="json"), corrected=corrected)
             path = Path(self._client.call("recordings_show", name=answer["recording"])["path"])
             measured = measured_run(recordings.load(path), float(answer["duration_s"]))
-            if not waited_long(plan, measured.duration_s, self.period_s):
+            if not waited_long(plan.duration_s, measured.duration_s, self.period_s):
                 return measured
         took = f"{TRIES} runs in a row took {measured.duration_s:.2f} s or so instead of {plan.duration_s:.2f} s"
         why = "servos miss readings and the arm waits for them; see `armctl doctor`"

@@ -73,8 +73,7 @@ def identify(rig: Rig, rng: np.random.Generator, show: Callable[[int], None] = l
         line = Line(*random_line(rig, rng), DURATION_S)
         try:
             ways = line_paths(rig, line, rng, most=DRAWN_WAYS)
-            way = ways[int(rng.integers(len(ways)))]
-            course = next(courses(rig, line, None, way[None]))
+            course = next(courses(rig, line, None, ways[int(rng.integers(len(ways)))][None]))
             plan = plan_of(rig, course, 0)
             if heavy := too_heavy(rig, None, plan):
                 why = heavy

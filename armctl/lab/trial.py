@@ -30,8 +30,7 @@ class Trial:
         # What the hand guides the arm along [m]; None: nothing of it is in reach.
         self.line = line
         self._snapshots, self._servos = snapshots, servos
-        self._takes = 0
-        self._holds = False
+        self._takes, self._holds = 0, False
 
     def serve(self, pressed: Callable[[], str], say: Callable[[str], None]) -> None:
         """Let the hand guide the limp arm whenever a key is pressed, and let go once the arm holds itself. Never ends.

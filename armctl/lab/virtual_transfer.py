@@ -26,8 +26,7 @@ def record(arm: ArmConfig, cycle: TransferRequest, path: Path, *, seed: int = 0,
     virtual = VirtualArm(SimulatedArm(arm, seed=seed), period_s)
     records = virtual.energise(FIRST_TICKS)
     begin = len(records)
-    trajectory = transfer_trajectory(cycle, virtual.goals_rad, virtual)
-    records += virtual.carry_out(Run(virtual.next_id(), trajectory))
+    records += virtual.carry_out(Run(virtual.next_id(), transfer_trajectory(cycle, virtual.goals_rad, virtual)))
     records += virtual.ticks(TAIL_TICKS)
     note = json.dumps({"event": NOTED, "cycle": cycle.model_dump()})
     # A bound on free space is the daemon's business: this file is a few hundred kilobytes.

@@ -126,8 +126,7 @@ def _xiang(rng: np.random.Generator) -> Measured:
     product = [_meant(dict.fromkeys(("RT1 1T2 2T3 ... n-1Tn", "A1 A2 A3 ... An"), reduce(np.matmul, links)), T)] * 2
     matrices = {"(8)": [product], "(9)": T, "(10)": T, "(11), left": turned, "(11), right": turned}
     matrices |= {"(17), left": stretched, "(17), right": stretched, "(18)": [[missed], *ranges], "Fig. 9": table}
-    both = {number: [[value] * 2] for number, value in sides.items()}
-    return values, _each(2, links) | both | matrices
+    return values, _each(2, links) | {number: [[value] * 2] for number, value in sides.items()} | matrices
 
 
 def _puma(rng: np.random.Generator) -> Measured:
@@ -149,8 +148,7 @@ def _puma(rng: np.random.Generator) -> Measured:
 def _line(rng: np.random.Generator) -> Measured:
     q, lengths = rng.uniform(-math.pi, math.pi, 5), _drawn(rng, "a2", "a3", "a4", "d1", "a5", "a6")
     of_robot = {name: length for name, length in lengths.items() if name not in ("a5", "a6")}
-    chain = robots.get("ax12-line", of_robot | {"a56": lengths["a5"] + lengths["a6"]}).chain
-    frames = link_frames(chain, q)
+    frames = link_frames(robots.get("ax12-line", of_robot | {"a56": lengths["a5"] + lengths["a6"]}).chain, q)
     T, links = frames[-1], _links(frames)
     table = [[n, alpha, a, d, q[n - 1]] for n, a, alpha, d in _rows(frames)]
     entries = _each(7, [[[value] * 2] for value in T[:3].ravel()])
@@ -181,8 +179,7 @@ def _lanzhou(rng: np.random.Generator) -> Measured:
     # Print knows the sum of these within half a turn.
     q[1:] *= min(1.0, 3.0 / abs(q[1:].sum()))
     lengths = _drawn(rng, "d1", "a2", "d2", "a3", "a4", "a5")
-    chain = robots.get("lanzhou-4dof", lengths).chain
-    frames = link_frames(chain, q)
+    frames = link_frames(robots.get("lanzhou-4dof", lengths).chain, q)
     T = frames[-1]
     # In the plane of links 3 and 4, seen from joint 2: x outwards, y the way positive angles turn.
     out, down = (np.linalg.inv(frames[1]) @ (frames[4] - frames[2])[:, 3])[[0, 2]] * (1.0, -1.0)

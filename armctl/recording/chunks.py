@@ -157,8 +157,7 @@ class ChunkWriter:
             if data := b"".join(group):
                 offsets += _bytes(records.SummaryOffset(_SUMMARY[kind], begin + len(summary), len(data)))
             summary += data
-        footer = _bytes(records.Footer(begin, begin + len(summary), summary_crc=0))
-        summary += offsets + footer[:-4]
+        summary += offsets + _bytes(records.Footer(begin, begin + len(summary), summary_crc=0))[:-4]
         self._write(summary + struct.pack("<I", zlib.crc32(summary)) + MAGIC)
 
     def _write(self, data: bytes) -> None:

@@ -13,7 +13,7 @@ import struct
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,8 +82,7 @@ class Texts:
             raise LogError(f"a text is not UTF-8 ({error.reason})") from None
 
 
-@dataclass(frozen=True)
-class Table:
+class Table(NamedTuple):
     """Messages of one topic that have one shape, in file order."""
 
     log_time_ns: NDArray[np.uint64]

@@ -21,7 +21,7 @@ from functools import cache, partial
 from importlib import import_module
 from itertools import islice, pairwise
 from pathlib import Path
-from typing import Any, BinaryIO, Literal, Self
+from typing import Any, BinaryIO, Literal, NamedTuple, Self
 
 import numpy as np
 
@@ -52,8 +52,7 @@ _QUANTITIES = (
 _TOOL = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 
 
-@dataclass(frozen=True)
-class ExportResult:
+class ExportResult(NamedTuple):
     """Files that were written, and the rows of each table."""
 
     paths: tuple[Path, ...]
@@ -282,9 +281,7 @@ def _excel_cell(sheet: Any, cell: Cell) -> Any:
         text = WriteOnlyCell(sheet, ILLEGAL_CHARACTERS_RE.sub("\N{REPLACEMENT CHARACTER}", cell)[:EXCEL_TEXT])
         text.data_type = "s"  # never a formula, whatever it begins with
         return text
-    if isinstance(cell, float):
-        return float(cell) if math.isfinite(cell) else None
-    return cell
+    return cell if not isinstance(cell, float) else float(cell) if math.isfinite(cell) else None
 
 
 def _write_parquet(facts: dict[str, str], stream: BinaryIO, tables: Sequence[_Table]) -> None:

@@ -113,8 +113,7 @@ class Index:
         with self._db:
             self._forget([entry.name])  # another process may have read it meanwhile
             places = ", ".join("?" * len(_KEPT))
-            added = self._db.execute(f"INSERT INTO logs({', '.join(_KEPT)}) VALUES({places})", about)
-            number = added.lastrowid
+            number = self._db.execute(f"INSERT INTO logs({', '.join(_KEPT)}) VALUES({places})", about).lastrowid
             events, minutes = ([(number, *row) for row in rows] for rows in (entry.events, entry.minutes))
             self._db.executemany(f"INSERT INTO events VALUES({', '.join('?' * 6)})", events)
             self._db.executemany(f"INSERT INTO minutes VALUES({', '.join('?' * (4 + len(FIGURES)))})", minutes)

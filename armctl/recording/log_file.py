@@ -72,8 +72,7 @@ class LogFile:
     """
 
     def __init__(self, path: Path, progress: Progress | None = None) -> None:
-        self.path = path
-        self._progress = progress
+        self.path, self._progress = path, progress
         self.attachments: dict[str, Attachment] = {}
         self.metadata: dict[str, dict[str, str]] = {}
         self.schemas: dict[int, Schema] = {}

@@ -173,8 +173,7 @@ class Recorder:
                 else:
                     item()
             self._behind = max(0, self._behind - 1)
-            due = urgent or self._clock.now_ns() >= self._flush_due_ns()
-            if files.written and due and not self._behind:
+            if files.written and (urgent or self._clock.now_ns() >= self._flush_due_ns()) and not self._behind:
                 self._flush()
                 urgent = False
         files.close(TAKE, SNAPSHOT, LOG)

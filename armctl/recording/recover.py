@@ -8,9 +8,9 @@ Rules.
 """
 
 import logging
-from dataclasses import dataclass
 from itertools import chain, count
 from pathlib import Path
+from typing import NamedTuple
 
 from armctl.clock import NS_PER_S
 from armctl.errors import LogError
@@ -25,8 +25,7 @@ _UNFINISHED = ".recovering"
 _log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True)
-class RecoverResult:
+class RecoverResult(NamedTuple):
     """Outcome of one recovery.
 
     `lost_s` is the log time between intact chunks, and of a last chunk that begins in the file and does not end

@@ -224,8 +224,7 @@ class Rerun:
         if compared:
             self._tick.logged.setdefault(topic, []).append(message.data)
         if topic == channels.WRITES:
-            writes = self._log.decode(message)["writes"]
-            self._tick.confirmed = tuple(write["confirmed"] for write in writes)
+            self._tick.confirmed = tuple(write["confirmed"] for write in self._log.decode(message)["writes"])
         elif topic == channels.CYCLE:
             tick, self._tick = self._tick, _Tick()
             self._finish(tick, self._log.decode(message), message.log_time_ns)

@@ -148,7 +148,7 @@ class Files:
         """Record a tick; whether it has to be on the disk at once."""
         for command in record.inputs.commands:
             if isinstance(command, Connected) and command.firmware:
-                self._context = replace(self._context, firmware=command.firmware)
+                self._context = self._context._replace(firmware=command.firmware)
         self._wire += record.wire
         record = replace(record, wire=())
         self._rotate(record)

@@ -12,11 +12,11 @@ Rules.
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from heapq import merge
 from itertools import repeat
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,8 +47,7 @@ _HAPPENED = (channels.ROSOUT, channels.COMMAND, channels.WRITES)
 _NAMES = {register.address: register.name for register in ax12a.REGISTERS}
 
 
-@dataclass(frozen=True, slots=True)
-class Happening:
+class Happening(NamedTuple):
     """Something that is no sample: a request, its outcome, register writes, an event. `level` is that of /rosout."""
 
     time_ns: int
@@ -57,8 +56,7 @@ class Happening:
     text: str
 
 
-@dataclass(frozen=True, slots=True)
-class Motion:
+class Motion(NamedTuple):
     """One plan that was run to its end: when, and the joint positions [rad] it was to begin and end at."""
 
     label: str
@@ -94,9 +92,9 @@ class _Happenings:
     def _mark(self, code: str, time_ns: int) -> None:
         """Where the plan proper of the last run begins and ends."""
         if code == "PLAN_BEGIN" and self._run is not None:
-            self._run = replace(self._run, begin_ns=time_ns)
+            self._run = self._run._replace(begin_ns=time_ns)
         elif code == "PLAN_END" and self._run is not None and self._run.begin_ns:
-            self.motions.append(replace(self._run, end_ns=time_ns))
+            self.motions.append(self._run._replace(end_ns=time_ns))
             self._run = None
 
     def _commanded(self, run: dict[str, Any]) -> None:

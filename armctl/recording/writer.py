@@ -14,9 +14,8 @@ import os
 import platform
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import yaml
 from mcap.records import Attachment
@@ -41,8 +40,7 @@ DIAGNOSTICS_PERIOD_NS = NS_PER_S
 MAX_SHAPES = 64
 
 
-@dataclass(frozen=True)
-class LogContext:
+class LogContext(NamedTuple):
     """What every file of one daemon has in common."""
 
     arm: ArmConfig

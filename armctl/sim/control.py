@@ -31,7 +31,6 @@ import socket
 from bisect import bisect_left, bisect_right
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict
 from itertools import islice
 from operator import itemgetter
 from pathlib import Path
@@ -93,8 +92,7 @@ class TruthRing:
     def between(self, begin_ns: int, end_ns: int) -> list[Sample]:
         """Those kept with begin_ns <= time <= end_ns."""
         begin = bisect_left(self._samples, begin_ns, key=itemgetter(0))
-        end = bisect_right(self._samples, end_ns, key=itemgetter(0))
-        return list(islice(self._samples, begin, end))
+        return list(islice(self._samples, begin, bisect_right(self._samples, end_ns, key=itemgetter(0))))
 
 
 class Plug(Protocol):
@@ -152,7 +150,7 @@ class Controls:
             raise ValueError(f"seed {seed!r}: a whole number of at least 0")
         line = _point(params, "from"), _point(params, "to")
         duration_s = None if duration_s is None else _number(duration_s, "duration_s")
-        return asdict(self._arm.hand.guide(*line, seed=seed, duration_s=duration_s))
+        return self._arm.hand.guide(*line, seed=seed, duration_s=duration_s)._asdict()
 
     def _hold(self, params: Params) -> Params:
         wanted, free, n = params.get("joints_rad"), params.get("free"), len(self._arm.config.joints)
@@ -160,7 +158,7 @@ class Controls:
             raise ValueError(f"joints_rad {wanted!r}: {n} numbers, rad")
         if free is not None and free not in range(n):
             raise ValueError(f"free {free!r}: the index of a joint, 0 to {n - 1}")
-        return asdict(self._arm.hand.hold(np.array([_number(q, "joints_rad") for q in wanted]), free))
+        return self._arm.hand.hold(np.array([_number(q, "joints_rad") for q in wanted]), free)._asdict()
 
     def _fault_begin(self, params: Params) -> Params:
         fault = validate(Fault, params, "fault")

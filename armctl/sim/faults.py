@@ -166,8 +166,7 @@ class Faults:
 
     def __init__(self, script: Sequence[Fault] = (), *, seed: int = 0) -> None:
         """Plan the faults of a script, whose `begin_s` count from the arm's begin."""
-        self._seed = seed
-        self._last_id = 0
+        self._seed, self._last_id = seed, 0
         # Those planned or in force; empty nearly always, and asked for with every byte.
         self.planned: list[Planned] = []
         # When something changes next.

@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -50,8 +51,7 @@ def hand_torque(behind_rad: float, slower_rad_s: float) -> float:
     return min(max(torque, -MAX_TORQUE_NM), MAX_TORQUE_NM)
 
 
-@dataclass(frozen=True)
-class Guided:
+class Guided(NamedTuple):
     """When a take happens, in seconds from its acceptance."""
 
     # Everything: carrying, both dwells and the line.

@@ -21,8 +21,7 @@ class LoopbackPort(ServoPort):
     clock: VirtualClock
 
     def __init__(self, bus: SimulatedBus, clock: VirtualClock) -> None:
-        self._bus = bus
-        self._plugged = True
+        self._bus, self._plugged = bus, True
         # How often the adapter had been pulled out when the port was opened.
         self._unplugs = 0
         super().__init__("loopback", 1_000_000, clock)

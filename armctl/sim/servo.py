@@ -111,8 +111,7 @@ class SimulatedServo:
         # Counts whatever may change `drive`, and the bytes written to the EEPROM.
         self.writes = self.eeprom_writes = 0
         self._draws = _standard_normals(rng)
-        self.noise_tick = noise_tick
-        self.variants = variants
+        self.noise_tick, self.variants = noise_tick, variants
         # Over what share of its slope the output climbs.
         self.slope_share = 1.0
         # A goal came with which the speed ramp begins anew.

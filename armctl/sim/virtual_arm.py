@@ -47,8 +47,7 @@ class VirtualArm:
         self.robot = robots.get(self.arm.robot, self.arm.lengths_m)
         self.clock = clock or VirtualClock()
         self.wire = wire or SimulatedBus(simulated)
-        self._make_port = make_port
-        self._request_id = 0
+        self._make_port, self._request_id = make_port, 0
         # Sees every record.
         self.on_tick: Callable[[TickRecord], None] = lambda record: None
         self._connect(restarted=False)

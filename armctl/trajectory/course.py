@@ -15,7 +15,7 @@ Rules.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -34,8 +34,7 @@ from armctl.trajectory.straightness import errors_mm
 SWING_RAD = np.radians(2.0)
 
 
-@dataclass(frozen=True, eq=False)
-class Line:
+class Line(NamedTuple):
     """The motion that is wanted: from A to B [m] in a straight line."""
 
     A: FloatArray
@@ -52,8 +51,7 @@ class Line:
         return errors_mm(tool_m, self.A, self.B)
 
 
-@dataclass(frozen=True, eq=False)
-class Course:
+class Course(NamedTuple):
     """A plan that is being worked out: its unrounded waypoints, and what the arm is expected to do along it.
 
     All on the grid of the arm's ticks from the plan's begin to its end, m = duration / period + 1 rows.
@@ -106,7 +104,7 @@ def placed(on: Driven, course: Course, *, move_knots: bool = False, held: FloatA
     inside, objective = limits + np.array([SWING_RAD, -SWING_RAD]), "mix" if course.stream else line.objective
     motion = StraightMotion(chain, course.kind, line.A, line.B, inside, course.lag_rad, course.offset_m, objective)
     placement = place(motion, course.waypoints, course.knots, held=held, move_knots=move_knots)
-    return replace(course, waypoints=placement.waypoints, knots=placement.knots)
+    return course._replace(waypoints=placement.waypoints, knots=placement.knots)
 
 
 def plan_of(on: Driven, course: Course, seed: int) -> Plan:
@@ -145,7 +143,7 @@ def bent(on: Driven, plan: Plan, point: int, to_m: Sequence[float]) -> Plan:
     limits: FloatArray = np.array([joint.limits_rad for joint in on.arm.joints[: chain.n]])
     waypoints = course.waypoints.copy()
     waypoints[point] = solve_position(chain, np.array(to_m), waypoints[point], limits)
-    return plan_of(on, replace(course, waypoints=waypoints), plan.seed)
+    return plan_of(on, course._replace(waypoints=waypoints), plan.seed)
 
 
 def sent_rad(arm: ArmConfig, goals_rad: FloatArray) -> FloatArray:

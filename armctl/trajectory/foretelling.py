@@ -122,8 +122,7 @@ def foretold(
             ramp, waits = np.where(begins, sees(x), ramp), waits & ~begins
         G = gravity[0] + (gravity[1] - gravity[0]) * ((i + 0.5) / STEPS)
         friction = motor.coulomb_Nm + motor.load_friction * np.abs(G)
-        drive = output(one, sees(ramp) - sees(x)) * one.volts - v / motor.no_load_rad_s
-        torque = motor.stall_Nm * drive + G
+        torque = motor.stall_Nm * (output(one, sees(ramp) - sees(x)) * one.volts - v / motor.no_load_rad_s) + G
         side = np.where(v != 0.0, np.sign(v), np.sign(torque))
         after = v + (torque - side * friction) * dt / inertia
         stands = (v == 0.0) & (np.abs(torque) <= motor.stiction_ratio * friction)

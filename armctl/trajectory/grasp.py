@@ -94,12 +94,10 @@ def plan_grasp(request: ReachRequest, q_now: Sequence[float], on: Driven) -> Flo
 
     def way(q: Sequence[float]) -> FloatArray:
         path_rad = _straight(np.asarray(q), point, on, request.off_m, request.along)
-        there = approach(path_rad, q_now, on)
-        straight(path_rad, there.positions_rad[-1], on)
+        straight(path_rad, approach(path_rad, q_now, on).positions_rad[-1], on)
         return path_rad
 
-    postures = _solutions(request, q_now, on)
-    return way_by((q.tolist() for q in postures), way, request.posture)
+    return way_by((q.tolist() for q in _solutions(request, q_now, on)), way, request.posture)
 
 
 def approach(path_rad: FloatArray, q_now: Sequence[float], on: Driven, *, opening: bool = False) -> JointTrajectory:

@@ -16,7 +16,7 @@ Ticks, outputs, velocities and gravity are the servo's own, counter-clockwise po
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any, NamedTuple, Self
 
@@ -49,8 +49,7 @@ FLOOR = {"friction": 0.055, "speed": 0.06, "play": 0.02, "delay": 0.0015, "jump"
 QUANTITIES = ("coulomb_Nm", "stiction_ratio", "slope_tick", "punch", "play_deg", "delay_ms")
 
 
-@dataclass(frozen=True, eq=False)
-class Trace:
+class Trace(NamedTuple):
     """Servos tick by tick: m ticks, n joints (of pairs the first servo); arrays of shape (m, n), but `sent_s` (m,)."""
 
     # When each servo was read, and when goals were sent [s]; NaN: none was.
@@ -81,10 +80,10 @@ class Trace:
             begin_s, end_s = np.quantile(trace.read_s[:, 0], (0.0, 1.0)).tolist()
             new = trace.read_s[:, 0] > (last_s if begin_s < last_s < end_s else -math.inf)
             later_s += 0.0 if end_s > last_s else last_s  # the machine was started anew
-            part = {one.name: getattr(trace, one.name)[new] for one in fields(cls)}
+            part = {name: column[new] for name, column in trace._asdict().items()}
             parts.append(part | {key: part[key] + later_s for key in ("read_s", "sent_s")})
             last_s = end_s
-        return cls(**{one.name: np.concatenate([part[one.name] for part in parts]) for one in fields(cls)})
+        return cls(**{name: np.concatenate([part[name] for part in parts]) for name in cls._fields})
 
 
 @dataclass(eq=False)

@@ -33,8 +33,7 @@ def time_law(u: FloatArray) -> FloatArray:
     # Speed climbs as 6x^5 - 15x^4 + 10x^3; `ramp` is its integral.
     x = np.minimum(np.minimum(u, 1.0 - u) / RAMP, 1.0)
     ramp = PEAK_SPEED * RAMP * np.square(x * x) * (x * (x - 3.0) + 2.5)
-    middle = PEAK_SPEED * (u - RAMP / 2.0)
-    return np.where(u < RAMP, ramp, np.where(u > 1.0 - RAMP, 1.0 - ramp, middle))
+    return np.where(u < RAMP, ramp, np.where(u > 1.0 - RAMP, 1.0 - ramp, PEAK_SPEED * (u - RAMP / 2.0)))
 
 
 def time_of_progress(s: FloatArray) -> FloatArray:
@@ -98,8 +97,7 @@ def _second_derivatives(waypoints: FloatArray, h: FloatArray) -> FloatArray:
     The end segments are parabolas (M0 = M1): a path along a line is curved at its ends as much as elsewhere, which
     natural ends (M0 = 0) would deny.
     """
-    slope = np.diff(waypoints, axis=-2) / h[..., None]
-    right = 6.0 * np.diff(slope, axis=-2)
+    right = 6.0 * np.diff(np.diff(waypoints, axis=-2) / h[..., None], axis=-2)
     diagonal = 2.0 * (h[..., :-1] + h[..., 1:])
     diagonal[..., 0] += h[..., 0]
     diagonal[..., -1] += h[..., -1]

@@ -137,8 +137,7 @@ class Summary:
     count: FloatArray
 
     def __add__(self, other: Self) -> Self:
-        sums = [a + b for a, b in zip(vars(self).values(), vars(other).values(), strict=True)]
-        return type(self)(*sums)
+        return type(self)(*[a + b for a, b in zip(vars(self).values(), vars(other).values(), strict=True)])
 
     def squares(self, rows: FloatArray) -> FloatArray:
         """What coefficients, shape (n, n + 3), leave of each joint's lag: the sum of squares [rad^2], shape (n,)."""

@@ -8,26 +8,31 @@ Rules.
 2. Beside the joint limits `line_path.MARGIN_RAD` are kept free, for corrections.
 3. The tool goes at one speed. Where a joint would be too fast, as in a tight corner, it goes slower, and gets there
    gently. It sets off and arrives by `time_law`.
+4. What runs taught of it (`relearnt`) is added to the joints on the way, and to the same way of the joints alone. At
+   its ends, where the arm comes to rest and the control step corrects it there, nothing is.
 """
 
 import math
 from collections.abc import Iterator, Sequence
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
 
 from armctl.config import ArmConfig
 from armctl.errors import RequestRefused
-from armctl.kinematics.chain import jacobian
+from armctl.kinematics.chain import jacobian, tool_position
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import LONGEST_S, JointTrajectory
 from armctl.trajectory import line_path
+from armctl.trajectory.course import ticks_of
 from armctl.trajectory.interpolate import PEAK_SPEED, columns_at, joint_path, time_law
 from armctl.trajectory.plan import Motion, against, led_in
 from armctl.trajectory.preflight import Driven
 from armctl.trajectory.reference import ReferencePath
-from armctl.trajectory.tool_path import Outline, PathRequest
+from armctl.trajectory.refinement import Measured, smoothed, surprise
+from armctl.trajectory.tool_path import DECIMALS, MOST_SHIFTS, Learnt, Outline, PathRequest
 
 # Of the tool where nothing else is asked for.
 SPEED_M_S = 0.03
@@ -43,6 +48,8 @@ FARTHER_RAD = math.pi / 2.0
 GENTLE_M = 0.008
 # What a duration is multiplied by while accelerations are too large, and how often.
 LONGER, TIMES_LONGER = 1.25, 8
+# Between two rows of what runs taught; and for how long it grows from nothing.
+SHIFT_S, GROWS_S = 0.2, 0.6
 # Points of the path that is told, and at which of them it is said how far rounding leads off it.
 TOLD_ROWS, TOLD_EACH = 2000, 5
 
@@ -66,9 +73,12 @@ def path_motion(request: PathRequest, q_now: Sequence[float], on: Driven) -> Pat
         RequestRefused: code PATH, the tool cannot follow it; code PREFLIGHT, every reason against the best way, and
             what duration would do.
     """
-    outline, arm, robot = Outline(request), on.arm, on.robot
+    outline, arm, robot, learnt = Outline(request), on.arm, on.robot, request.learnt
     refused: tuple[str, ...] = ()
-    for way in joint_ways(outline, q_now, arm, robot):
+    if learnt and (learnt.arm_id, learnt.calibration_hash) != (arm.arm_id, arm.calibration_hash):
+        raise RequestRefused("FOREIGN_PATH", f"it was refined on arm {learnt.arm_id}, or before a calibration")
+    begin_rad, farther_rad = (learnt.begin_rad, 0.0) if learnt else (q_now, FARTHER_RAD)
+    for way in islice(joint_ways(outline, begin_rad, arm, robot, farther_rad), 1 if learnt else None):
         pace_s = _slowest_pace_s(way, outline, arm)
         duration_s, least_s = _duration_s(request.duration_s, pace_s, outline.length_m)
         if request.duration_s is not None and least_s > request.duration_s:
@@ -76,11 +86,10 @@ def path_motion(request: PathRequest, q_now: Sequence[float], on: Driven) -> Pat
             continue
         for _ in range(TIMES_LONGER):
             progress = _progress(pace_s, duration_s)
-            motion = _motion(way, progress, duration_s, q_now[robot.chain.n :])
+            motion = _motion(way, progress, duration_s, q_now[robot.chain.n :], learnt)
             reasons = against(motion, duration_s, arm, robot, q_now)
             if not reasons:
-                whole = led_in(motion, duration_s, on, q_now, "path")
-                return PathMotion(whole, *_told(outline, progress))
+                return PathMotion(led_in(motion, duration_s, on, q_now, "path"), *_told(outline, progress))
             if request.duration_s is not None or not all("give it a duration" in reason for reason in reasons):
                 break
             duration_s = min(LONGER * duration_s, LONGEST_S)
@@ -88,7 +97,9 @@ def path_motion(request: PathRequest, q_now: Sequence[float], on: Driven) -> Pat
     raise RequestRefused("PREFLIGHT", refused)
 
 
-def joint_ways(outline: Outline, q_now: Sequence[float], arm: ArmConfig, robot: Robot) -> Iterator[FloatArray]:
+def joint_ways(
+    outline: Outline, q_now: Sequence[float], arm: ArmConfig, robot: Robot, farther_rad: float = FARTHER_RAD
+) -> Iterator[FloatArray]:
     """Ways of the joints along the path, at most `TRIED_WAYS`, the most promising first.
 
     Yields:
@@ -123,7 +134,7 @@ def joint_ways(outline: Outline, q_now: Sequence[float], arm: ArmConfig, robot: 
     J = jacobian(chain, ways)[..., :3, :]
     lever = np.linalg.norm(J - along[:, :, None] * (along[:, None, :] @ J), axis=-2)
     turn = np.abs(ways[:, 0] - np.array(q_now[: chain.n])).max(axis=1)
-    best = np.lexsort((line_path.turning_too(lever, ways), turn > turn.min() + FARTHER_RAD))[:TRIED_WAYS]
+    best = np.lexsort((line_path.turning_too(lever, ways), turn > turn.min() + farther_rad))[:TRIED_WAYS]
     rows = int(np.clip(math.ceil(outline.length_m / ROW_M), FEWEST_ROWS, MOST_ROWS)) + 1
     place = np.linspace(0.0, 1.0, rows)
     fine = outline.rounded(place * outline.length_m)
@@ -174,21 +185,64 @@ def _progress(slowest_s: FloatArray, duration_s: float) -> tuple[FloatArray, Flo
 
 
 def _motion(
-    way: FloatArray, progress: tuple[FloatArray, FloatArray], duration_s: float, others: Sequence[float]
+    way: FloatArray,
+    progress: tuple[FloatArray, FloatArray],
+    lasts_s: float,
+    others: Sequence[float],
+    more: Learnt | None,
 ) -> Motion:
     """Joint positions [rad], shape (m, joints), by the time since the begin; joints beyond the chain stay."""
     share, place = progress
 
     def positions(time_s: FloatArray) -> FloatArray:
-        q = columns_at(np.interp(time_law(time_s / duration_s), share, place), place, way)
+        q = columns_at(np.interp(time_law(time_s / lasts_s), share, place), place, way)
+        q += _shift(more, time_s / lasts_s)
         return np.concatenate([q, np.tile(np.asarray(others, dtype=np.float64), (len(q), 1))], axis=1)
 
     return positions
+
+
+def _shift(learnt: Learnt | None, u: FloatArray) -> FloatArray:
+    """What is added to the joints [rad] at shares of the time, shape (m, n); shape (1, 1) where nothing is."""
+    if learnt is None:
+        return np.zeros((1, 1))
+    return columns_at(u, np.linspace(0.0, 1.0, len(learnt.shift_rad)), np.array(learnt.shift_rad))
+
+
+def compared(request: PathRequest, motion: PathMotion, run: Measured, on: Driven) -> tuple[FloatArray, FloatArray]:
+    """Where the joints were to be, and how far they were from there [rad], at every tick of the path, shape (m, n)."""
+    way, n = motion.trajectory, on.robot.chain.n
+    lasts_s = way.end_s - way.begin_s
+    time_s = np.linspace(0.0, lasts_s, ticks_of(lasts_s, on.period_s))
+    due_s = np.arange(len(way.positions_rad)) * np.float64(way.period_s) - way.begin_s
+    goals = columns_at(time_s, due_s, np.array(way.positions_rad)[:, :n])
+    wanted = goals - _shift(request.learnt, time_s / lasts_s)
+    return wanted, wanted - columns_at(time_s, run.time_s, run.positions_rad[:, :n])
+
+
+def path_seen_mm(request: PathRequest, motion: PathMotion, run: Measured, on: Driven) -> float:
+    """Root mean square of the smoothed readings' distances from the path [mm], of a run of it."""
+    wanted, off = compared(request, motion, run, on)
+    tool_m = tool_position(on.robot.chain, wanted - smoothed(off, on.period_s))
+    off_m = motion.reference.off_m(tool_m, np.linspace(0.0, 1.0, len(tool_m)))
+    return float(np.sqrt(np.square(off_m).mean())) * 1e3
+
+
+def relearnt(request: PathRequest, motion: PathMotion, run: Measured, on: Driven, gain: float) -> PathRequest:
+    """The path with a share of what a run of it was off added to what was learnt before."""
+    wanted, off = compared(request, motion, run, on)
+    lasts_s = motion.trajectory.end_s - motion.trajectory.begin_s
+    u: FloatArray = np.linspace(0.0, 1.0, min(math.ceil(lasts_s / SHIFT_S) + 1, MOST_SHIFTS))
+    grown = np.minimum(1.0, lasts_s * np.minimum(u, 1.0 - u) / GROWS_S)[:, None]
+    more = columns_at(u, np.linspace(0.0, 1.0, len(off)), surprise(off, wanted, on.period_s, gain))
+    shift = (_shift(request.learnt, u) + grown * more).round(DECIMALS).tolist()
+    begin_rad, of = tuple(wanted[0].tolist()), {"arm_id": on.arm.arm_id, "calibration_hash": on.arm.calibration_hash}
+    learnt = Learnt(begin_rad=begin_rad, shift_rad=tuple(map(tuple, shift)), **of)
+    return request.model_copy(update={"learnt": learnt, "duration_s": lasts_s})
 
 
 def _told(outline: Outline, progress: tuple[FloatArray, FloatArray]) -> tuple[ReferencePath, FloatArray]:
     u = np.linspace(0.0, 1.0, TOLD_ROWS + 1)
     way_m = np.interp(time_law(u), *progress) * outline.length_m
     reference = ReferencePath(u, outline.sharp(way_m))
-    rounded = outline.rounded(way_m)[::TOLD_EACH]
-    return reference, reference.off_m(rounded, u[::TOLD_EACH])
+    return reference, reference.off_m(outline.rounded(way_m)[::TOLD_EACH], u[::TOLD_EACH])

@@ -7,7 +7,6 @@ a few steps. Deviations across the line count in full, at the ends and along the
 redundancy is left stays where it was.
 """
 
-from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -35,8 +34,7 @@ SETTLED = 1e-5
 CLOSEST_KNOTS = 0.06
 
 
-@dataclass(frozen=True, eq=False)
-class StraightMotion:
+class StraightMotion(NamedTuple):
     """A motion that shall be straight, and what keeps it from being so."""
 
     chain: SerialChain

@@ -17,11 +17,11 @@ import numpy as np
 from pydantic import Field
 
 from armctl.config import ArmConfig, Frozen, Name, validate
-from armctl.errors import ConfigError
 from armctl.kinematics import robots
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import LONGEST_S, JointTrajectory
+from armctl.strict_yaml import parse_json
 from armctl.trajectory.approach import approach_duration_s
 from armctl.trajectory.interpolate import Interpolation, joint_path, rest_to_rest, time_law
 from armctl.trajectory.preflight import Driven, DrivenArm, preflight_motion
@@ -102,8 +102,8 @@ def plan_through(
     )
 
 
-def plan_to_text(plan: Plan) -> str:
-    """The plan as JSON, indented for people, every bit kept."""
+def plan_to_text(plan: Frozen) -> str:
+    """The plan, or a path, as JSON, indented for people, every bit kept."""
     return json.dumps(plan.model_dump(mode="json"), indent=1, allow_nan=False) + "\n"
 
 
@@ -115,18 +115,7 @@ def plan_from_text(text: str, file: str) -> Plan:
     Raises:
         ConfigError: not JSON, or not exactly a plan; names the key, its value and its bound.
     """
-
-    def mapping(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        keys = [key for key, _ in pairs]
-        if twice := [key for key in keys if keys.count(key) > 1]:
-            raise ConfigError(file, twice[0], "the key stands twice")
-        return dict(pairs)
-
-    try:
-        data = json.loads(text, object_pairs_hook=mapping)
-    except (ValueError, RecursionError) as error:
-        raise ConfigError(file, "", f"not a plan, not even JSON: {error}") from None
-    return validate(Plan, data, file)
+    return validate(Plan, parse_json(text, file), file)
 
 
 def plan_positions(plan: Plan, time_s: FloatArray) -> FloatArray:

@@ -12,13 +12,10 @@ Rules.
    outside is refused.
 """
 
-import csv
-import io
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -30,6 +27,7 @@ from armctl.kinematics.chain import tool_position
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import LONGEST_S, JointTrajectory
+from armctl.strict_yaml import csv_table, finite
 from armctl.trajectory.bounds import Joints
 from armctl.trajectory.interpolate import columns_at
 from armctl.trajectory.plan import CHECK_PERIOD_S, against, led_in
@@ -106,32 +104,23 @@ def motion_from_text(text: str, file: str) -> TaughtMotion:
     Raises:
         ConfigError: the table is none, or holds no motion; names the row or field, the value and its bound.
     """
-    lines = enumerate(csv.reader(io.StringIO(text), skipinitialspace=True), 1)
-    rows = [(number, row) for number, row in lines if any(cell.strip() for cell in row)]
-    header = [name.strip() for name in rows[0][1]] if rows else []
+    remedy = "the first row must be time_s and the joints' names, such as time_s,base,shoulder"
+    header, rows = csv_table(text, file, (TIME,), remedy)
     columns = [name for name in header if name.endswith(EXPORTED)] or [name for name in header if name != TIME]
-    if TIME not in header or not columns:
-        remedy = "the first row must be time_s and the joints' names, such as time_s,base,shoulder"
-        raise ConfigError(file, "header", f"no column {TIME if TIME not in header else 'of a joint'}", remedy)
+    if not columns:
+        raise ConfigError(file, "header", "no column of a joint", remedy)
     time_s, positions = [], []
-    for number, row in rows[1:]:
-        if len(row) != len(header):
-            raise ConfigError(file, f"row {number}", f"has {len(row)} cells, the header {len(header)}")
-        cells = dict(zip(header, row, strict=True))
-        try:
-            time_s.append(float(cells[TIME]))
-            angles = [float(cells[name]) for name in columns]
-        except ValueError as error:
-            raise ConfigError(file, f"row {number}", str(error)) from None
-        scaled = (math.radians(q) if name.endswith(DEGREES) else q for name, q in zip(columns, angles, strict=True))
-        positions.append(tuple(round(q, DECIMALS) if math.isfinite(q) else q for q in scaled))
+    for where, cells in rows:
+        time_s.append(finite(cells[TIME], file, where))
+        angles = ((name, finite(cells[name], file, where)) for name in columns)
+        scaled = (math.radians(q) if name.endswith(DEGREES) else q for name, q in angles)
+        positions.append(tuple(round(q, DECIMALS) for q in scaled))
     joints = tuple(name.removesuffix(EXPORTED).removesuffix(DEGREES) for name in columns)
     data = {"joints": joints, "time_s": tuple(time_s), "positions_rad": tuple(positions)}
     return validate(TaughtMotion, data, file)
 
 
-@dataclass(frozen=True, eq=False)
-class Playback:
+class Playback(NamedTuple):
     """A taught motion for one arm, smoothed and timed."""
 
     arm: ArmConfig
@@ -189,7 +178,7 @@ class Playback:
         slower = self
         # What was eased over at a high rate may show at a lower one.
         while (over := slower._over(kept)) > ROUNDING and slower.rate >= LOWEST_RATE:
-            slower = replace(slower, rate=math.floor(100.0 * slower.rate / over) / 100.0)
+            slower = slower._replace(rate=math.floor(100.0 * slower.rate / over) / 100.0)
         enough = slower.rate >= LOWEST_RATE
         remedy = f"rate {slower.rate:g} would do" if enough else f"even rate {LOWEST_RATE:g} is too fast"
         return [
@@ -212,8 +201,7 @@ def playback(motion: TaughtMotion, rate: float, arm: ArmConfig, robot: Robot) ->
         RequestRefused: code FOREIGN_LOG, another arm was taught, or with another calibration; code JOINTS, a joint of
             the arm is missing in it, or it has others.
     """
-    mine = arm.arm_id, arm.calibration_hash
-    if motion.arm_id and (motion.arm_id, motion.calibration_hash) != mine:
+    if motion.arm_id and (motion.arm_id, motion.calibration_hash) != (arm.arm_id, arm.calibration_hash):
         other = f"it was recorded with arm {motion.arm_id}, calibration {motion.calibration_hash}"
         raise RequestRefused("FOREIGN_LOG", f"{other}; this is {arm.arm_id}, {arm.calibration_hash}")
     known, needed = ", ".join(arm.joint_names), arm.joint_names[: robot.chain.n]

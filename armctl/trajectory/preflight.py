@@ -165,8 +165,7 @@ def _every_degree(q: FloatArray, period_s: float, arm: ArmConfig) -> FloatArray:
     # A step beyond its speed limit is refused already: it need not be looked at any closer than a permitted one.
     step = np.minimum(step, [joint.speed_limit_rad_s * period_s for joint in arm.joints]).max(axis=1)
     turned = np.concatenate([[0.0], np.cumsum(step)])
-    looks = np.linspace(0.0, turned[-1], math.ceil(turned[-1] / LOOK_RAD) + 1)
-    return columns_at(looks, turned, q)
+    return columns_at(np.linspace(0.0, turned[-1], math.ceil(turned[-1] / LOOK_RAD) + 1), turned, q)
 
 
 def _against_contact(q: FloatArray, arm: ArmConfig, robot: Robot) -> Iterator[str]:

@@ -21,7 +21,7 @@ which serves people between two runs, and an experiment share these rules.
 """
 
 from collections.abc import Callable, Generator, Iterable, Sequence
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -58,8 +58,7 @@ ASTRAY = ("PREFLIGHT", "LIMIT")
 WAITED_SHARE = 0.08
 
 
-@dataclass(frozen=True, eq=False)
-class Measured:
+class Measured(NamedTuple):
     """One executed plan, as the encoders saw it; times count from the plan's begin.
 
     Shapes: times (m,), positions (m, joints), tool points (k, 3).
@@ -76,8 +75,7 @@ class Measured:
     true_tool_m: FloatArray | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Round:
+class Round(NamedTuple):
     """One run of a refinement."""
 
     number: int
@@ -101,9 +99,9 @@ class Round:
         return float(np.median(self.run_mm))
 
 
-def waited_long(plan: Plan, duration_s: float, period_s: float) -> bool:
+def waited_long(wanted_s: float, duration_s: float, period_s: float) -> bool:
     """Whether a run stood for so long (paused, or waiting for servos), or was so slow, that nothing is learnt of it."""
-    return duration_s > (1.0 + WAITED_SHARE) * plan.duration_s + period_s / 2.0
+    return duration_s > (1.0 + WAITED_SHARE) * wanted_s + period_s / 2.0
 
 
 def lag_of(on: Driven, plan: Plan, measured: Measured) -> FloatArray:
@@ -124,11 +122,16 @@ def learn(on: Driven, last: Round, gain: float) -> Course:
     """The course of a round, corrected by what the runs of the round showed."""
     course = last.course
     lag = np.median([lag_of(on, last.plan, run) for run in last.runs], axis=0)
-    surprise = gain * smoothed(lag - course.lag_rad, on.period_s, LEARN_S)
+    more = surprise(lag - course.lag_rad, course.expected_rad, on.period_s, gain)
     still = np.ptp(course.expected_rad, axis=0) < STILL_RAD
-    surprise = np.where(still, surprise.mean(axis=0), surprise)
-    waypoints = course.waypoints + np.where(still, surprise.mean(axis=0), 0.0)
-    return placed(on, replace(course, lag_rad=course.lag_rad + surprise, waypoints=waypoints), held=still.astype(float))
+    waypoints = course.waypoints + np.where(still, more.mean(axis=0), 0.0)
+    return placed(on, course._replace(lag_rad=course.lag_rad + more, waypoints=waypoints), held=still.astype(float))
+
+
+def surprise(off_rad: FloatArray, wanted_rad: FloatArray, period_s: float, gain: float) -> FloatArray:
+    """What is to be learnt of how far joints were off [rad], shape (m, n); of one that hardly moves the average."""
+    seen = gain * smoothed(off_rad, period_s, LEARN_S)
+    return np.where(np.ptp(wanted_rad, axis=0) < STILL_RAD, seen.mean(axis=0), seen)
 
 
 def seen_mm(on: Driven, one: Round, measured: Measured) -> float:
@@ -190,14 +193,13 @@ class Refinement:
         best = self.first
         while not best.runs or (self._left is None and not enough(best, NOISE_MM)):
             best = self._added(best, (yield best), counted=False)
-        best = replace(best, kept=True)
+        best = best._replace(kept=True)
         self.rounds.append(best)
         unkept = 0
         for number in range(best.number + 1, best.number + 1 + self.most):
             if self._left == 0 or unkept == PATIENCE:
                 return
-            gain = GAINS[min(len(self.rounds), len(GAINS)) - 1] * LESS**unkept
-            course = learn(self.on, best, gain)
+            course = learn(self.on, best, GAINS[min(len(self.rounds), len(GAINS)) - 1] * LESS**unkept)
             one = Round(number, course, plan_of(self.on, course, self.first.plan.seed), (), (), best.corrected)
             try:
                 one = self._added(one, (yield one))
@@ -209,7 +211,7 @@ class Refinement:
                     raise
                 return  # what there is stays
             if self._better(one, best):
-                best, unkept = replace(one, kept=True), 0
+                best, unkept = one._replace(kept=True), 0
                 one = best
             else:
                 unkept += 1
@@ -225,7 +227,7 @@ class Refinement:
         assert measured is not None
         if self._left:
             self._left -= counted
-        return replace(one, runs=(*one.runs, measured), run_mm=(*one.run_mm, seen_mm(self.on, one, measured)))
+        return one._replace(runs=(*one.runs, measured), run_mm=(*one.run_mm, seen_mm(self.on, one, measured)))
 
     def _in_doubt(self, one: Round, best: Round, noise_mm: float) -> bool:
         """Whether a plan that seems better has to be run again before that is believed."""

@@ -10,8 +10,6 @@ Rules.
    also at most half of either side, so that every side keeps its middle. Beyond c the path is exact.
 """
 
-import csv
-import io
 import math
 from collections.abc import Sequence
 from itertools import pairwise
@@ -24,12 +22,15 @@ from armctl.config import Frozen, validate
 from armctl.errors import ConfigError
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import LONGEST_S
-from armctl.trajectory.bounds import Point
+from armctl.strict_yaml import csv_table, finite, parse_json
+from armctl.trajectory.bounds import Joints, Point
 
 Kind = Literal["line", "through", "arc"]
 
 # As many as fit into one line of the daemon's socket.
 MAX_POINTS = 1000
+# And of what a refinement learnt.
+MOST_SHIFTS = 1000
 COLUMNS = ("x_m", "y_m", "z_m")
 # Of a file's coordinates: a hundredth of what the arm can tell.
 DECIMALS = 6
@@ -39,6 +40,20 @@ LARGEST_RADIUS_M = 10.0
 # Directions that differ by less make no corner.
 SMOOTH = 1e-6
 MOST_BUMP = 5.0 / 32.0
+
+
+class Learnt(Frozen):
+    """What runs of a path have shown of one arm."""
+
+    arm_id: str = Field(max_length=64)
+    calibration_hash: str = Field(max_length=64)
+    # Where the path begins [rad], and what is added to each joint at even times from there to its end [rad].
+    begin_rad: Joints
+    shift_rad: Annotated[tuple[Joints, ...], Field(min_length=2, max_length=MOST_SHIFTS, strict=False)]
+
+    def _check(self) -> None:
+        if any(len(row) != len(self.begin_rad) for row in self.shift_rad):
+            raise ValueError(f"shift_rad: each row must have {len(self.begin_rad)} numbers, as begin_rad has")
 
 
 class PathRequest(Frozen):
@@ -51,6 +66,7 @@ class PathRequest(Frozen):
     duration_s: float | None = Field(None, ge=0.5, le=LONGEST_S)
     # How far a corner may be cut.
     tolerance_mm: float = Field(2.0, ge=0.1, le=50.0)
+    learnt: Learnt | None = None
 
     def _check(self) -> None:
         kinds = self.kinds or ("line",) * len(self.points_m)
@@ -74,34 +90,21 @@ def path_from_text(text: str, file: str, **more: Any) -> PathRequest:
 
     Args:
         file: Name of the file, for error messages.
-        more: Other fields of the request.
+        more: Other fields of the request; None: as they are.
     Raises:
         ConfigError: the table is none, or what it says is no path; names the row or field, the value and its bound.
     """
-    rows = list(csv.reader(io.StringIO(text), skipinitialspace=True))
-    header = [name.strip() for name in rows[0]] if rows else []
-    if missing := [name for name in COLUMNS if name not in header]:
-        remedy = "the first row must be x_m,y_m,z_m or x_m,y_m,z_m,kind"
-        raise ConfigError(file, "header", f"no column {', '.join(missing)}", remedy)
+    given = {key: value for key, value in more.items() if value is not None}
+    if text.startswith("{"):  # a path that was refined, as it was kept
+        return validate(PathRequest, parse_json(text, file) | given, file)
+    header, rows = csv_table(text, file, COLUMNS, "the first row must be x_m,y_m,z_m or x_m,y_m,z_m,kind")
     if unknown := [name for name in header if name not in (*COLUMNS, "kind")]:
         raise ConfigError(file, "header", f"unknown column {', '.join(unknown)}", "known: x_m, y_m, z_m, kind")
     points, kinds = [], []
-    for number, row in enumerate(rows[1:], 2):
-        if not any(cell.strip() for cell in row):
-            continue
-        if len(row) != len(header):
-            raise ConfigError(file, f"row {number}", f"has {len(row)} cells, the header {len(header)}")
-        cells = dict(zip(header, (cell.strip() for cell in row), strict=True))
-        points.append(tuple(round(_number(cells[name], file, number), DECIMALS) for name in COLUMNS))
+    for where, cells in rows:
+        points.append(tuple(round(finite(cells[name], file, where), DECIMALS) for name in COLUMNS))
         kinds.append(cells.get("kind") or "line")
-    return validate(PathRequest, {"points_m": tuple(points), "kinds": tuple(kinds), **more}, file)
-
-
-def _number(text: str, file: str, row: int) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise ConfigError(file, f"row {row}", f"{text!r} is not a number") from None
+    return validate(PathRequest, {"points_m": tuple(points), "kinds": tuple(kinds), **given}, file)
 
 
 class _Line(NamedTuple):

@@ -120,8 +120,7 @@ def transfer_trajectory(cycle: TransferRequest, q_now: Sequence[float], on: Driv
     approach_s = approach_duration_s(q0, start, on.arm, on.robot)
 
     def positions(time_s: FloatArray) -> FloatArray:
-        others = np.tile(q0[n:], (len(time_s), 1))
-        return np.concatenate([model.sample(time_s)[0], others], axis=1)
+        return np.concatenate([model.sample(time_s)[0], np.tile(q0[n:], (len(time_s), 1))], axis=1)
 
     trajectory = approached([(q0, start, approach_s)], positions, model.duration_s, on.period_s, "transfer")
     if reasons := preflight_motion(np.array(trajectory.positions_rad), on, start_rad=q_now):

@@ -4,7 +4,6 @@ import asyncio
 import itertools
 import json
 import math
-from dataclasses import asdict
 from pathlib import Path as FilePath
 from typing import Annotated, Any, Literal
 
@@ -131,8 +130,7 @@ class Files:
 
     async def optimize(self, body: OptimizeBody) -> dict[str, Any]:
         """Straighten recordings; answers when it is done, progress comes over the stream."""
-        names = [f"{body.name}-via{via}" for via in body.via]
-        if taken := (await self._kept()).intersection(names):
+        if taken := (await self._kept()).intersection([f"{body.name}-via{via}" for via in body.via]):
             raise RequestRefused("EXISTS", f"a plan {min(taken)} exists; choose another name, or delete it")
         result = await self._daemon.call("optimize", **body.model_dump(mode="json", exclude={"name"}))
         for plan in result["plans"]:
@@ -173,12 +171,12 @@ class Files:
     def hand(self, body: HandBody) -> dict[str, Any]:
         """Let the simulator's hand carry the limp arm to a line and lead it along; answers how long that takes."""
         with SimulatorClient(self._simulator) as simulator:
-            return asdict(simulator.guide(body.from_m, body.to_m, seed=body.seed))
+            return simulator.guide(body.from_m, body.to_m, seed=body.seed)._asdict()
 
     def hold(self, body: HoldBody) -> dict[str, Any]:
         """Let the simulator's hand lead every joint where it is wanted, and hold it; answers how long that takes."""
         with SimulatorClient(self._simulator) as simulator:
-            return asdict(simulator.hold(body.joints_rad, body.free))
+            return simulator.hold(body.joints_rad, body.free)._asdict()
 
     def seen(self) -> dict[str, Any]:
         """What one sees who stands beside the simulated arm."""

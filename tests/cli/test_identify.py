@@ -41,7 +41,7 @@ def test_a_page_takes_the_place_of_a_page_and_of_nothing_else(tmp_path: Path, an
 def test_a_log_of_another_arm_makes_no_twin_of_this_one(tmp_path: Path, answer: Answer, typed: Typed) -> None:
     records = make_records(80)
     own = write(tmp_path / "own.mcap", records)
-    context = replace(CONTEXT, arm=ARM.model_copy(update={"arm_id": "neighbours"}))
+    context = CONTEXT._replace(arm=ARM.model_copy(update={"arm_id": "neighbours"}))
     other = write(tmp_path / "other.mcap", records, context=context)
     spec = Path(answer("identify", "--from-logs", own)["spec"])
     before = spec.read_text()

@@ -87,11 +87,8 @@ def test_a_refinement_is_told_in_words_that_need_no_manual(
     monkeypatch.setattr(client, "Client", Refining)
     (tmp_path / "plan.json").write_text(plan_to_text(make_plan()), encoding="utf-8")
     said = typed("run", str(tmp_path / "plan.json"), "--refine", "2")
-    assert (
-        "after 1 of at most 3 runs, the plan as it was: 1.23 mm mean and 3.46 mm at most off the wanted line"
-        in said.err
-    )
+    assert "after 1 of at most 3 runs, as it was: 1.23 mm mean and 3.46 mm at most off the wanted line" in said.err
     assert (
         "correction 1: 1.23 mm mean and 3.46 mm at most off the wanted line, not better by more than noise" in said.out
     )
-    assert "the best plan: armctl run /best.json\n" in said.out
+    assert "the best one: armctl run /best.json\n" in said.out

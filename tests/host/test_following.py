@@ -11,14 +11,17 @@ import numpy as np
 import pytest
 
 from armctl.clock import NS_PER_S
+from armctl.errors import ConfigError
 from armctl.host import teaching
 from armctl.host.motions import move, path, play
+from armctl.host.refining import refine_path
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import Mode, TickRecord
 from armctl.trajectory.dead_time import moving_part
+from armctl.trajectory.plan import plan_to_text
 from armctl.trajectory.playback import PlayRequest, TaughtMotion
 from armctl.trajectory.target import MoveRequest
-from armctl.trajectory.tool_path import Outline, PathRequest
+from armctl.trajectory.tool_path import Learnt, Outline, PathRequest, path_from_text
 from tests.control.ideal_arm import PERIOD_S
 from tests.genetic import hand
 from tests.host.simulated import SimulatedBench, on_arm
@@ -105,6 +108,34 @@ async def test_a_path_takes_as_long_as_was_asked_for_and_replays_bit_for_bit(tmp
         checked = bench.replayed(tmp_path / "path.mcap")
         assert checked.mismatches == 0
         assert any('"event": "PATH"' in note for note in bench.recorder.notes)
+
+
+@pytest.mark.parametrize(("request_", "seed"), [(square(), 1), (circle(), 2), (circle(), 4)])
+async def test_a_refined_path_is_nearer_to_what_was_asked_for_and_its_file_leads_there_again(
+    request_: PathRequest, seed: int, tmp_path: Path
+) -> None:
+    async with on_arm("ax12-line", seed) as bench:
+        _, before = await followed(bench, path(bench.host, bench.anna, request_))
+        result = await bench.served(refine_path(bench.host, bench.anna, request_, 4, tmp_path))
+        rounds = result["rounds"]
+        best = [row for row in rounds if row["kept"]][-1]
+        assert best["round"] > 0
+        assert result["mean_error_mm"] == best["mean_error_mm"] < rounds[0]["mean_error_mm"]
+        kept = path_from_text(Path(result["plan"]).read_text(encoding="utf-8"), "kept")
+        assert kept.points_m == request_.points_m
+        _, after = await followed(bench, path(bench.host, bench.anna, kept))
+        assert off_mm(after, request_).mean() < off_mm(before, request_).mean()
+        assert Mode.FAULTED not in bench.modes
+
+
+async def test_what_was_learnt_of_a_path_is_of_one_arm_and_its_rows_fit(tmp_path: Path) -> None:
+    learnt = Learnt(arm_id="other", calibration_hash="", begin_rad=(0.0,) * 4, shift_rad=((0.0,) * 4,) * 2)
+    async with on_arm("ax12-line") as bench:
+        foreign = square().model_copy(update={"learnt": learnt})
+        await bench.refused(path(bench.host, bench.anna, foreign), "FOREIGN_PATH")
+    text = plan_to_text(foreign).replace('"begin_rad": [', '"begin_rad": [0.0,')
+    with pytest.raises(ConfigError, match="each row must have 5 numbers"):
+        path_from_text(text, "kept")
 
 
 @pytest.mark.parametrize(

@@ -139,21 +139,21 @@ def test_an_optimisation_that_cannot_fit_is_refused_before_it_reads_anything(tmp
     most = JOB_BYTES // INDIVIDUAL_BYTES
     asked = job(tmp_path)
     settings = replace(asked.request.settings, population=most + 1)
-    asked = replace(asked, paths=(), request=asked.request.model_copy(update={"settings": settings}))
+    asked = asked._replace(paths=(), request=asked.request.model_copy(update={"settings": settings}))
     with refused("TOO_LARGE", str(most)):
         optimize_task(asked, lambda *_: None)
 
 
 def test_recordings_of_another_arm_are_refused_each_by_name(tmp_path: Path) -> None:
     asked = job(tmp_path, count=2)
-    other = replace(asked, arm=asked.arm.model_copy(update={"arm_id": "other"}))
+    other = asked._replace(arm=asked.arm.model_copy(update={"arm_id": "other"}))
     with refused("FOREIGN_LOG") as caught:
         optimize_task(other, lambda *_: None)
     assert [reason.split()[1] for reason in caught.value.reasons] == ["take-0", "take-1"]
 
 
 def test_a_missing_recording_is_a_log_error(tmp_path: Path) -> None:
-    asked = replace(job(tmp_path, count=1), paths=(tmp_path / "none.mcap",))
+    asked = job(tmp_path, count=1)._replace(paths=(tmp_path / "none.mcap",))
     with pytest.raises(LogError):
         optimize_task(asked, lambda *_: None)
 

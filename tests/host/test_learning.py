@@ -144,14 +144,14 @@ async def test_a_motion_that_was_stopped_or_gripped_or_not_corrected_teaches_not
     bench.host._learn = lambda done: seen.extend(done) or ""  # type: ignore[func-returns-value]
     await bench.some_motion()
     [done] = seen
-    gripping = replace(done, trajectory=replace(done.trajectory, grip=Grip(5, 0.5)))
+    gripping = done._replace(trajectory=replace(done.trajectory, grip=Grip(5, 0.5)))
     assert bench.learner.learn([gripping]) == ""
     assert not sag_file.history_path(own_arm(tmp_path)).exists()
     done.watch.wanted_rad[20], wanted = (), done.watch.wanted_rad[20]
     assert bench.learner.learn([done]) == ""
     assert not sag_file.history_path(own_arm(tmp_path)).exists()
     done.watch.wanted_rad[20] = wanted
-    uncorrected = replace(done, trajectory=replace(done.trajectory, corrected=False))
+    uncorrected = done._replace(trajectory=replace(done.trajectory, corrected=False))
     assert bench.learner.learn([uncorrected]) == ""
     assert not sag_file.history_path(own_arm(tmp_path)).exists(), "its joints were not where they were wanted"
     assert bench.learner.learn([done]) == ""

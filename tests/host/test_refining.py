@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Any
 
@@ -10,13 +11,14 @@ import pytest
 
 from armctl.errors import LogError
 from armctl.host.motions import move, run
-from armctl.host.refining import measured, refine
+from armctl.host.refining import measured, refine, refine_path
 from armctl.host.watch import Done, Watch
 from armctl.kinematics.chain import tool_position
 from armctl.messages import JointTrajectory, Mode, Reply, Run
 from armctl.trajectory.plan import Plan, plan_from_text
 from armctl.trajectory.refinement import Measured
 from armctl.trajectory.target import MoveRequest
+from armctl.trajectory.tool_path import PathRequest, path_from_text
 from tests.host.bench import Bench
 from tests.host.doubles import refused
 from tests.host.simulated import on_arm
@@ -30,9 +32,30 @@ def line_plan(bench: Bench, **changes: object) -> Plan:
     return plan.model_copy(update=dict(zip(("from_m", "to_m"), map(tuple, ends.tolist()), strict=True)))
 
 
-async def refining(bench: Bench, folder: Path, plan: Plan | None = None) -> asyncio.Task[dict[str, Any]]:
+SHORT_PATH = PathRequest(points_m=((0.18, -0.02, 0.15), (0.18, 0.02, 0.15)), duration_s=2.0)
+Work = Callable[[Bench, Path], Coroutine[Any, Any, dict[str, Any]]]
+
+
+def of_plan(bench: Bench, folder: Path) -> Coroutine[Any, Any, dict[str, Any]]:
+    return refine(bench.host, bench.anna, line_plan(bench), 2, folder)
+
+
+def of_path(bench: Bench, folder: Path) -> Coroutine[Any, Any, dict[str, Any]]:
+    return refine_path(bench.host, bench.anna, SHORT_PATH, 2, folder)
+
+
+EITHER = pytest.mark.parametrize("work", [of_plan, of_path])
+
+
+def kept_of(work: Work, result: dict[str, Any]) -> Plan | PathRequest:
+    """What was kept as a file, read again."""
+    text = Path(result["plan"]).read_text(encoding="utf-8")
+    return (plan_from_text if work is of_plan else path_from_text)(text, "kept")
+
+
+async def refining(bench: Bench, folder: Path, work: Work = of_plan) -> asyncio.Task[dict[str, Any]]:
     """Anna's refinement, its first run over and the second under way."""
-    task = asyncio.ensure_future(refine(bench.host, bench.anna, plan or line_plan(bench), 2, folder))
+    task = asyncio.ensure_future(work(bench, folder))
     await bench.until(lambda: runs(bench) == 2 and bench.arm.mode() is Mode.MOVING)
     return task
 
@@ -81,19 +104,22 @@ async def test_the_arm_is_the_refiner_s_until_its_last_run(bench: Bench, tmp_pat
     assert bench.host.leases.current is None
 
 
-async def test_a_stop_keeps_what_was_reached(bench: Bench, tmp_path: Path) -> None:
-    task = await refining(bench, tmp_path, plan := line_plan(bench))
+@EITHER
+async def test_a_stop_keeps_what_was_reached(bench: Bench, tmp_path: Path, work: Work) -> None:
+    wanted = line_plan(bench) if work is of_plan else SHORT_PATH
+    task = await refining(bench, tmp_path, work)
     await bench.served(bench.host.stop())
     result = await bench.served(task)
     assert result["ended"]["code"] == "STOPPED"
     assert [row["round"] for row in result["rounds"]] == [0]
-    assert plan_from_text(Path(result["plan"]).read_text(encoding="utf-8"), "plan") == plan
+    assert kept_of(work, result) == wanted
     assert bench.arm.mode() is Mode.HOLDING
     assert len(bench.recorder.takes) == 2, "what was recorded of the run that was stopped is kept"
 
 
-async def test_a_full_disk_keeps_what_was_reached(bench: Bench, tmp_path: Path) -> None:
-    task = await refining(bench, tmp_path, plan := line_plan(bench))
+@EITHER
+async def test_a_full_disk_keeps_what_was_reached(bench: Bench, tmp_path: Path, work: Work) -> None:
+    task = await refining(bench, tmp_path, work)
 
     def full() -> None:
         raise LogError("the disk is full")
@@ -102,19 +128,23 @@ async def test_a_full_disk_keeps_what_was_reached(bench: Bench, tmp_path: Path) 
     result = await bench.served(task)
     assert result["ended"] == {"code": "LOG", "text": "the disk is full"}
     assert result["rounds"][0]["round"] == 0
-    assert plan_from_text(Path(result["plan"]).read_text(encoding="utf-8"), "plan").via == plan.via
+    assert kept_of(work, result).duration_s == 2.0
 
 
-async def test_a_stop_in_the_first_run_is_told_as_that_of_a_run(bench: Bench, tmp_path: Path) -> None:
-    task = asyncio.ensure_future(refine(bench.host, bench.anna, line_plan(bench), 2, tmp_path))
+@EITHER
+async def test_a_stop_in_the_first_run_is_told_as_that_of_a_run(bench: Bench, tmp_path: Path, work: Work) -> None:
+    task = asyncio.ensure_future(work(bench, tmp_path))
     await bench.until(lambda: bench.arm.mode() is Mode.MOVING)
     await bench.served(bench.host.stop())
     await bench.refused(task, "STOPPED")
     assert not list(tmp_path.iterdir())
 
 
-async def test_a_client_that_leaves_stops_the_arm_and_its_plan_is_in_the_log(bench: Bench, tmp_path: Path) -> None:
-    task = await refining(bench, tmp_path)
+@EITHER
+async def test_a_client_that_leaves_stops_the_arm_and_its_plan_is_in_the_log(
+    bench: Bench, tmp_path: Path, work: Work
+) -> None:
+    task = await refining(bench, tmp_path, work)
     bench.host.client_gone(bench.anna)
     result = await bench.served(task)
     assert result["ended"]["code"] in ("STOPPED", "LEASE_LOST")

@@ -115,7 +115,7 @@ def test_a_joint_that_turns_around_makes_a_way_unfit_for_few_via_points(on: Virt
 
 
 def test_a_tool_seen_beside_where_the_encoders_have_it_is_brought_to_the_line(on: VirtualRig) -> None:
-    aside = replace(LINE, unseen_m=np.tile([0.0, 0.0, 0.01], (5, 1)))
+    aside = LINE._replace(unseen_m=np.tile([0.0, 0.0, 0.01], (5, 1)))
     tool = tool_position(ROBOT.chain, next(courses(on, aside, None, ways())).expected_rad)
     np.testing.assert_allclose(tool[:, 2], hand.A[2] - 0.01, atol=5e-4)
 
@@ -139,4 +139,4 @@ def test_a_tool_that_stops_at_a_via_point_is_seen(on: VirtualRig) -> None:
     still = np.stack([np.interp(stopped_s, time_s, column) for column in tool_m.T], axis=1)
     (progress,) = first.plan.waypoint_progress[1:-1]
     assert progress == pytest.approx(0.5, abs=0.03)
-    assert via_speed_ratio(first.plan, replace(first.measured, true_tool_m=still)) < 0.2
+    assert via_speed_ratio(first.plan, first.measured._replace(true_tool_m=still)) < 0.2

@@ -33,8 +33,9 @@ def test_a_table_of_tool_points_is_read(tmp_path: Path) -> None:
 
 HEAD = "t_s,x_m,y_m,z_m\n0,1,2,3\n"
 NO_TABLES = {
-    "t_s,x_m,y_m\n0,1,2\n": "z_m: no such column",
-    **{f"{HEAD}{row}\n": "line 3: not four finite numbers" for row in ("1,1,nan,3", "1,1")},
+    "t_s,x_m,y_m\n0,1,2\n": "header: no column z_m",
+    f"{HEAD}1,1,nan,3\n": "row 3: 'nan' is not a finite number",
+    f"{HEAD}1,1\n": "row 3: has 2 cells, the header 4",
     HEAD + "0,1,2,3\n": "times increasing",
     HEAD: "two rows or more",
 }

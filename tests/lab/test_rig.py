@@ -80,8 +80,8 @@ def test_readings_of_a_recorded_run_have_the_times_of_its_plan_though_the_arm_wa
         measured = measured_run(run, run.plan_s[1] - run.plan_s[0])
         assert measured.time_s[-1] == pytest.approx(3.0, abs=0.06)
         assert np.abs(lag_of(on, wanted, measured)).max() < np.radians(1.5)
-        assert not waited_long(wanted, measured.duration_s, on.period_s)
-    assert waited_long(wanted, 3.3, on.period_s)
+        assert not waited_long(wanted.duration_s, measured.duration_s, on.period_s)
+    assert waited_long(wanted.duration_s, 3.3, on.period_s)
 
 
 def test_the_truth_is_looked_at_every_few_milliseconds_from_begin_to_end(on: VirtualRig) -> None:

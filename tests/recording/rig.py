@@ -3,7 +3,6 @@
 import os
 import threading
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +25,7 @@ class Rig:
         # Folders that were to be compacted.
         self.compacted: list[Path] = []
         self.recorder = Recorder(
-            replace(CONTEXT, config=Config(log=LogConfig(free_bytes=log.pop("free_bytes", 0), **log))),
+            CONTEXT._replace(config=Config(log=LogConfig(free_bytes=log.pop("free_bytes", 0), **log))),
             self.logs,
             self.takes,
             clock=self.clock,

@@ -1,7 +1,6 @@
 """Trimming and merging: nothing added, nothing lost, and every piece replays alone."""
 
 from collections import Counter
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -248,9 +247,9 @@ def is_gap(message: reader.DecodedMessage) -> bool:
 @pytest.mark.parametrize(
     ("context", "named"),
     [
-        (replace(CONTEXT, arm=ARM.model_copy(update={"arm_id": "other"})), "arm_id"),
-        (replace(CONTEXT, port="/dev/ttyUSB7"), "port"),
-        (replace(CONTEXT, period_s=0.05), "period_s"),
+        (CONTEXT._replace(arm=ARM.model_copy(update={"arm_id": "other"})), "arm_id"),
+        (CONTEXT._replace(port="/dev/ttyUSB7"), "port"),
+        (CONTEXT._replace(period_s=0.05), "period_s"),
     ],
 )
 def test_files_of_another_daemon_are_refused(tmp_path: Path, context: LogContext, named: str) -> None:

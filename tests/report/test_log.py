@@ -168,7 +168,7 @@ def test_two_logs_are_drawn_over_one_another_from_where_their_plans_begin(log: T
 
 def test_text_from_the_log_is_never_markup(log: Timeline, tmp_path: Path) -> None:
     evil = "</script><script>alert(1)</script><img src=x onerror=alert(2)>"
-    motions = tuple(replace(motion, label=evil) for motion in log.motions)
+    motions = tuple(motion._replace(label=evil) for motion in log.motions)
     happenings = (Happening(log.start_ns, 20, "X", evil),)
     hostile = replace(log, motions=motions, happenings=happenings, faults=((0, f"{evil}: x"),), states=((0, evil),))
     html = without_library(text(hostile, tmp_path))

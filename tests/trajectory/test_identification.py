@@ -1,7 +1,6 @@
 """The estimator on made-up servos with known parameters: each rule by itself, and one joint as a whole."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -63,7 +62,7 @@ def trace(goal: FloatArray, **seen: FloatArray) -> Trace:
 def test_the_ramp_is_where_a_servo_that_steps_each_millisecond_has_it(
     goals: list[int], speed: float, delay_ms: int
 ) -> None:
-    made = replace(trace(np.array(goals, float)), speed_tick_s=np.full((len(goals), N), speed))
+    made = trace(np.array(goals, float))._replace(speed_tick_s=np.full((len(goals), N), speed))
     at_s = made.read_s[1:, 0] + 0.07
     found = ramp_tick(made, 0, at_s, delay_ms / 1e3, from_reference=True)
     here, steps = float(goals[0]), {}
@@ -211,6 +210,6 @@ def test_masses_are_as_heavy_and_as_slow_as_point_masses_on_the_chain(name: str)
 def test_what_two_logs_hold_counts_once() -> None:
     made = trace(np.arange(400.0, 500.0))
     first, second = (
-        Trace(**{name: column[rows] for name, column in vars(made).items()}) for rows in (slice(0, 60), slice(40, 100))
+        Trace(**{name: column[rows] for name, column in made._asdict().items()}) for rows in (slice(0, 60), slice(40, 100))
     )
     assert Trace.joined([first, second]).read_s.tolist() == made.read_s.tolist()

@@ -157,7 +157,7 @@ def test_of_an_exported_log_the_joints_positions_count() -> None:
         ("time_s,base\n0,0.1\n1,much\n", "row 3"),
         ("time_s,base\n\n0,0.1\n1,much\n", "row 4"),
         ("time_s,base\n0,0.1\n1\n", "row 3: has 1 cells, the header 2"),
-        ("time_s,base\n0,0.1\n1,nan\n", "positions_rad"),
+        ("time_s,base\n0,0.1\n1,nan\n", "row 3: 'nan'"),
         ("time_s,base\n0,0.1\n0,0.2\n", "it must rise"),
         ("time_s,base\n0,0.1\n0.2,0.2\n", "0.2 s long"),
         ("time_s,base\n0,0.1\n601,0.2\n", "601 s long"),

@@ -1,6 +1,5 @@
 """The rules by which a plan is corrected, on an arm that a test writes down run by run."""
 
-from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 
@@ -145,7 +144,7 @@ def test_the_repeat_noise_is_that_of_the_readings_of_one_plan() -> None:
     rounds = []
     for _ in range(100):
         runs = tuple(on.run(begun.plan) for _ in range(2))
-        rounds.append(replace(begun, runs=runs, run_mm=tuple(refinement.seen_mm(on, begun, run) for run in runs)))
+        rounds.append(begun._replace(runs=runs, run_mm=tuple(refinement.seen_mm(on, begun, run) for run in runs)))
     runs_mm = [run_mm for one in rounds for run_mm in one.run_mm]
     assert repeat_noise_mm(rounds) == pytest.approx(np.std(runs_mm), rel=0.1)
     assert repeat_noise_mm([]) == pytest.approx(NOISE_MM)
@@ -210,12 +209,12 @@ def test_a_joint_that_hardly_moves_is_led_elsewhere_as_a_whole_and_by_nothing_th
     knots = progress_of_ticks(51) if via is None else np.linspace(0.0, 1.0, via + 2)
     course = placed(
         on,
-        replace(first(on, via).course, line=line, waypoints=joint_path(way, np.linspace(0.0, 1.0, 41), knots, "cubic")),
+        first(on, via).course._replace(line=line, waypoints=joint_path(way, np.linspace(0.0, 1.0, 41), knots, "cubic")),
     )
     one = Round(0, course, plan_of(on, course, 0), (), (), corrected=True)
     run = on.run(one.plan)
     run.positions_rad[:, 0] += 0.003 * np.sin(run.time_s * 2.0 * np.pi / 2.5)
-    after = learn(on, replace(one, runs=(run,)), 0.5)
+    after = learn(on, one._replace(runs=(run,)), 0.5)
     np.testing.assert_allclose((after.waypoints - course.waypoints)[:, 0], 0.5 * 0.004, atol=2e-4)
 
 

@@ -16,6 +16,7 @@ and a = bits of a chromosome / `sharing`.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -56,8 +57,7 @@ class Settings:
 DEFAULT = Settings()
 
 
-@dataclass(frozen=True, eq=False)
-class Niches:
+class Niches(NamedTuple):
     """How populations are parted; k niches each."""
 
     # Index of each niche's best individual, shape (populations, k).

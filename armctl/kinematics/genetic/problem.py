@@ -6,6 +6,7 @@ the height only).
 """
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -51,8 +52,7 @@ class Problem:
         return np.asarray(squares[..., :3].sum(axis=-1) + self.position_weight * squares[..., 3])  # (eq. 4)
 
 
-@dataclass(frozen=True, eq=False)
-class Evolution:
+class Evolution(NamedTuple):
     """What came out of every run."""
 
     # Best configuration, shape (runs, n).
