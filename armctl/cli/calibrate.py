@@ -1,10 +1,12 @@
 """`armctl calibrate`: zeros and lengths from touched points, and how the arm sags.
 
-The points are touched with a limp arm, without the daemon; `--sag` asks a running daemon to move it.
+The points are touched with a limp arm, without the daemon; `--holding` and `--sag` ask a running daemon to move it.
 """
 
 from __future__ import annotations
 
+import time
+from contextlib import ExitStack
 from dataclasses import asdict
 from datetime import date, datetime
 from functools import partial
@@ -13,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from armctl.cli.motion import by_keys
 from armctl.cli.output import ARM, BAUD, CONFIG, PORT, SOCKET, Output, command, millimetres
 from armctl.cli.setup import AtTerminal, opened
 from armctl.cli.tables import show_rows, show_table
@@ -20,9 +23,15 @@ from armctl.errors import RequestRefused
 from armctl.files import load_arm
 
 if TYPE_CHECKING:
+    from armctl.client import Client
     from armctl.commissioning.calibration import Fit, Readings
+    from armctl.commissioning.holding import Held
     from armctl.config import ArmConfig
 
+# How high above a point the arm is moved before it is led, and how fast at first.
+ABOVE_M, LED_M_S = 0.03, 0.01
+# How often it is looked at where it stands, and how far apart.
+LOOKS, LOOK_S = 20, 0.1
 ASKED = ("armctl calibrate", "or give --readings FILE")
 
 
@@ -36,6 +45,7 @@ def calibrate_command(
     way: str | None,
     zero_at: str | None,
     out: Path | None,
+    holding: bool,
 ) -> None:
     """Find zero ticks and link lengths: touch known points with the limp arm's tool tip.
 
@@ -45,6 +55,10 @@ def calibrate_command(
     then on; the one before stays in its history, NAME.history/1.yaml and so on beside it. An arm that comes with armctl
     gets a file of your own.
 
+    With --holding the arm stands by itself, as it does at work: the daemon moves it above each point, and you lead the
+    tip onto it by keys. Its axes' twists are found as well. How good the result is tell points left out of the fit; an
+    arm that is no better there stays as it was.
+
     --sag does something else: a running daemon moves the arm along eight lines. What gravity and friction do to each
     joint is kept beside the calibration, as NAME.sag.json, for `armctl experiment`.
 
@@ -53,9 +67,12 @@ def calibrate_command(
     Example: armctl calibrate --points sheet.csv
     """
     from armctl.commissioning import arm_file, calibration, pairs
+    from armctl.commissioning import holding as under_torque
 
     if sum(choice is not None for choice in (points, readings, zero_at, way)) != 1:
         raise click.UsageError("give one of --points FILE, --readings FILE, --zero-at rest|zero, --sag and --pairs")
+    if holding and not (points or readings):
+        raise click.UsageError("--holding is for --points FILE or --readings FILE")
     if way == "sag":
         _calibrate_sag(output)
         return
@@ -65,6 +82,7 @@ def calibrate_command(
     if taken := [new for new in (out, save_readings) if new is not None and new.exists()]:
         raise RequestRefused("FILE_EXISTS", f"{taken[0]}: exists and is not overwritten; choose another name")
     fit: Fit | None = None
+    held: Held | None = None
     if way is not None:
         after = pairs.measured(before, partial(opened, output), AtTerminal(output, *ASKED))
         remark = "what the two servos of a joint read at the same places"
@@ -81,42 +99,60 @@ def calibrate_command(
         else:
             assert points is not None
             usual = path.with_name(f"{path.stem}-{datetime.now():%Y%m%d-%H%M%S}.readings")
-            session = _touch_all(output, before, points, touches, save_readings or usual)
+            session = _touch_all(output, before, points, touches, save_readings or usual, holding)
         if save_readings is not None:
             arm_file.write(save_readings, calibration.readings_text(session))
-        fit = calibration.fit(before, session.touches)
-        after = fit.arm
-        remark = f"{len(session.touches)} touches, {fit.rms_before_mm:.2f} mm off before, {fit.rms_mm:.2f} mm after"
+        if holding:
+            held = under_torque.fit(before, session.touches)
+            after, found = held.arm, f"{held.before_mm:.2f} mm off before, {held.held_out_mm:.2f} mm on points left out"
+        else:
+            fit = calibration.fit(before, session.touches)
+            after, found = fit.arm, f"{fit.rms_before_mm:.2f} mm off before, {fit.rms_mm:.2f} mm after"
+        remark = f"{len(session.touches)} touches, {found}"
     text = calibration.calibration_text(after, [f"Calibrated {date.today().isoformat()} from {name}: {remark}."])
     kept = arm_file.renew(path, text)
     result: dict[str, Any] = {"path": str(path), "changes": _changes(before, after)}
     if fit is not None:
         result |= asdict(fit) | {"residuals_mm": fit.residuals_mm.tolist(), "complete": fit.complete}
         del result["arm"]
+    if held is not None:
+        result |= {key: value for key, value in held._asdict().items() if key != "arm"}
     if output.result(result):
         return
     if fit is not None:
         show_fit(output, fit)
+    if held is not None:
+        rows = [(p["name"], f"{p['value']:.5g}", f"{p['sd']:.2g}", p["unit"]) for p in held.parameters]
+        show_table(output.console, "", ("parameter", "value", "+-", "unit"), rows, words=("parameter", "unit"))
+        output.say(remark)
     show_rows(output.console, "changes", "Changed", result["changes"])
     was = f" (before: {kept})" if kept else ""
     output.say(f"written: {path}{was}\nuse it: armctl daemon --arm {name if out is None else out}")
 
 
-def _touch_all(output: Output, arm: ArmConfig, points: Path, touches: int, kept: Path) -> Readings:
+def _touch_all(output: Output, arm: ArmConfig, points: Path, touches: int, kept: Path, holding: bool) -> Readings:
     """Lead the person through every point and keep each touch; a reading that fails is taken again."""
     from armctl.commissioning import arm_file, calibration
 
     places = [point for point in calibration.read_points(points) for _ in range(touches)]
     calibration.check_points(arm, places)
     session = calibration.Readings(arm_id=arm.arm_id, touches=())
-    with opened(output, [joint.servo_id for joint in arm.joints]) as bus:
+    with ExitStack() as held:
+        client = held.enter_context(output.client()) if holding else None
+        bus = None if holding else held.enter_context(opened(output, [joint.servo_id for joint in arm.joints]))
         person = AtTerminal(output, *ASKED)
         output.say(f"readings are kept in {kept}, after every touch")
         while (done := len(session.touches)) < len(places):
             where = f"point {done // touches + 1} of {len(places) // touches} ({millimetres(places[done])})"
-            person.ask("", f"{where}, posture {done % touches + 1} of {touches}: hold the tip on it")
+            where += f", posture {done % touches + 1} of {touches}"
             try:
-                ticks = calibration.read_ticks(bus, arm.joints, bus.port.clock)
+                if client is not None:
+                    output.say(f"{where}: lead the tip onto it, then press q")
+                    ticks = _led(output, client, arm, places[done], done % touches + 1)
+                else:
+                    assert bus is not None
+                    person.ask("", f"{where}: hold the tip on it")
+                    ticks = calibration.read_ticks(bus, arm.joints, bus.port.clock)
             except RequestRefused as refusal:
                 output.say(f"not taken: {refusal}")
                 continue
@@ -125,6 +161,29 @@ def _touch_all(output: Output, arm: ArmConfig, points: Path, touches: int, kept:
             arm_file.write(kept, calibration.readings_text(session))
             output.after_interrupt = f"{done + 1} touches are in {kept}; `armctl calibrate --readings` takes them"
     return session
+
+
+def _led(
+    output: Output, client: Client, arm: ArmConfig, point: tuple[float, float, float], posture: int
+) -> tuple[float, ...]:
+    """Mean position [tick] of every servo of an arm that stands by itself where a person led its tip.
+
+    Raises:
+        RequestRefused: its torque is off, or it did not stand still.
+    """
+    from armctl.commissioning.holding import standing_ticks
+
+    x, y, z = point
+    try:
+        client.call("move", point_m=(x, y, z + ABOVE_M), posture=posture)
+    except RequestRefused as refusal:
+        output.say(f"not led above it: {refusal}")
+    by_keys(output, client.call, LED_M_S)
+    seen = []
+    for _ in range(LOOKS):
+        seen.append(client.call("status")["joints"])
+        time.sleep(LOOK_S)
+    return standing_ticks(arm, seen)
 
 
 def _calibrate_sag(output: Output) -> None:
@@ -152,7 +211,7 @@ def _changes(old_arm: ArmConfig, new_arm: ArmConfig) -> list[dict[str, Any]]:
     from armctl.kinematics import robots
 
     old, new = (robots.get(arm.robot, arm.lengths_m).lengths_m for arm in (old_arm, new_arm))
-    rows: list[tuple[str, Any, Any]] = [(f"lengths_m.{key}", old[key], new[key]) for key in old]
+    rows: list[tuple[str, Any, Any]] = [(f"lengths_m.{key}", old[key], new[key]) for key in old if key in new]
     for was, now in zip(old_arm.joints, new_arm.joints, strict=True):
         rows += [
             (f"{was.name}.{key}", getattr(was, key), getattr(now, key))

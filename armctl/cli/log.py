@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import asdict
 from os.path import basename
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -219,7 +220,7 @@ def merge(output: Output, logs: tuple[Path, ...], out: Path) -> None:
 
 
 def _edited(output: Output, result: Any) -> None:
-    answer = result._asdict() | {"path": str(result.path)}
+    answer = asdict(result) | {"path": str(result.path)}
     output.answer(answer, f"{result.messages} messages, {result.duration_s:.1f} s: {result.path}")
     if result.damaged:
         output.warn(f"{result.damaged} damaged places were left out")

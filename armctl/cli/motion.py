@@ -63,7 +63,7 @@ def jog_command(output: Output, joint: str | None, axis: str | None, speed: floa
         if joint is not None and joint not in names:
             raise ConfigError("armctl jog", "--joint", f"no joint {joint!r}", f"known: {', '.join(names)}")
         if axis is joint is None:
-            _by_keys(output, client.call, abs(speed))
+            by_keys(output, client.call, abs(speed))
         else:
             turn = max(-10.0, min(10.0, math.radians(speed) if deg else speed))
             joints = [turn * (name == joint) for name in names] if joint else []
@@ -80,7 +80,7 @@ def _lead(way: str, speed_m_s: float) -> list[float]:
     return [(speed_m_s if way[1] == "+" else -speed_m_s) * (axis == way[0]) for axis in "xyz"]
 
 
-def _by_keys(output: Output, call: Callable[..., Any], speed_m_s: float) -> None:
+def by_keys(output: Output, call: Callable[..., Any], speed_m_s: float) -> None:
     """Lead the tool as long as keys say so; each answer comes when the next word is due. What is refused is said."""
     way, until_s, moves, why = "", 0.0, False, ""
     with keys(sys.stdin) as pressed:

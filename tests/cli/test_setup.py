@@ -14,15 +14,18 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from armctl.cli import main, setup
+from armctl import client
+from armctl.cli import calibrate, main, setup
 from armctl.commissioning import calibration
 from armctl.commissioning.calibration import Readings, Touch, calibration_text, load_readings, readings_text
 from armctl.config import ArmConfig
 from armctl.dynamixel import ax12a
-from armctl.errors import PortGone
+from armctl.errors import PortGone, RequestRefused
 from armctl.files import find_arm_file, load_arm
+from armctl.kinematics import robots
+from armctl.kinematics.chain import tool_position
 from armctl.lab.demo import started
-from tests.cli.conftest import Answer, Typed, refusals
+from tests.cli.conftest import Answer, StandIn, Typed, refusals
 from tests.commissioning.bench import EXACT, Bench, PosingHand, planted, postures, touch_points
 from tests.paired import paired_arm
 from tests.words import missing
@@ -200,6 +203,62 @@ def test_calibrate_renews_the_arms_own_file_and_keeps_the_ones_before(
     assert not missing(again, f"(before: {history / '2.yaml'})", "roll.zero_tick", "does not move the tool")
     assert [(history / name).read_text() for name in ("1.yaml", "2.yaml")] == [old, second]
     assert "not overwritten" in typed(*command, arm_file, "--out", arm_file, status=1).err
+
+
+def test_calibrate_holding_tells_every_parameter_and_makes_the_arm_a_table(
+    arm_file: Path, answer: Answer, typed: Typed
+) -> None:
+    rng = np.random.default_rng(0)
+    true = planted(load_arm("ax12-line"), rng, tick=10.0, length_m=0.002)
+    q = postures(true, 20, rng)
+    points = tool_position(robots.of(true).chain, q[:, :5])
+    ticks = [[joint.tick(at) for joint, at in zip(true.joints, row, strict=True)] for row in q.tolist()]
+    touches = [Touch(point_m=tuple(p), ticks=tuple(t)) for p, t in zip(points.tolist(), ticks, strict=True)]
+    command = calibrated(arm_file, touches)
+    result = answer(*command, arm_file, "--holding")
+    assert result["parameters"][0].keys() == {"name", "value", "sd", "unit"}
+    assert {one["unit"] for one in result["parameters"]} == {"tick", "m", "deg"}
+    assert result["after_mm"] < result["held_out_mm"] < 0.5 < 2.0 < result["before_mm"]
+    found = load_arm(str(arm_file))
+    assert zeros(found)[5] == 512.0, "of a servo that moves no tool"
+    seen = [[joint.position_rad(tick) for joint, tick in zip(found.joints, row, strict=True)] for row in ticks]
+    np.testing.assert_allclose(tool_position(robots.of(found).chain, np.array(seen)[:, :5]), points, atol=5e-4)
+    again = typed(*calibrated(arm_file, touches), arm_file, "--holding")
+    assert not missing(
+        again.out, "base.zero_tick", "robot.dh.1.alpha_deg", "mm on points left out", "my-arm.history/2.yaml"
+    )
+
+
+def test_calibrate_holding_moves_above_each_point_and_is_led_onto_it(
+    arm_file: Path, typed: Typed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[tuple[str, object]] = []
+    arm = load_arm(str(arm_file))
+
+    class Standing(StandIn):
+        def call(self, method: str, **params: object) -> dict[str, object]:
+            asked.append((method, params))
+            if method == "move" and len(asked) == 1:
+                raise RequestRefused("PREFLIGHT", "not there")
+            return {"joints": [{"torque_enabled": len(led) != 2, "position_rad": 0.1} for _ in arm.joints]}
+
+    led: list[float] = []
+    monkeypatch.setattr(client, "Client", Standing)
+    monkeypatch.setattr(calibrate, "by_keys", lambda output, call, speed: led.append(speed))
+    monkeypatch.setattr(calibrate, "LOOK_S", 0.0)
+    monkeypatch.setattr(sys, "stdin", person(lambda: "\n"))
+    (points := arm_file.with_name("points.csv")).write_text("0.15,0,0\n0.2,0,0\n0.2,0.1,0\n")
+    saved = arm_file.with_name("kept.yaml")
+    said = typed("calibrate", "--arm", arm_file, "--points", points, "--holding", "--save-readings", saved, status=1)
+    assert not missing(said.out, "not led above it: not there", "press q", "not taken: torque is off")
+    moves = [params for method, params in asked if method == "move"]
+    assert moves[1] == {"point_m": (0.15, 0.0, 0.03), "posture": 2}
+    kept = load_readings(saved, arm)
+    assert len(kept.touches) == 6 == len(led) - 1
+    assert kept.touches[0].ticks == pytest.approx([joint.tick(0.1) for joint in arm.joints], abs=0.001)
+    assert "POOR_FIT" in said.err or "off its points" in said.err
+    wrong = typed("calibrate", "--arm", arm_file, "--zero-at", "rest", "--holding", status=2)
+    assert "--holding is for" in wrong.err
 
 
 def test_where_the_arms_folder_cannot_be_written_the_file_stays(arm_file: Path, typed: Typed) -> None:

@@ -39,7 +39,7 @@ from tests.host.doubles import methods_over
         ("transfer", transfer_command, TransferRequest, set()),
         ("move", move_command, MoveRequest, set()),
         ("play", play_command, PlayRequest, {"motion"}),  # NAME|FILE
-        ("path", path_command, PathRequest, {"points_m", "kinds"}),  # FILE
+        ("path", path_command, PathRequest, {"points_m", "kinds", "learnt"}),  # FILE
         ("program_run", program_run, ProgramRequest, {"name", "steps"}),  # FILE
     ],
 )

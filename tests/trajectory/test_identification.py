@@ -210,6 +210,7 @@ def test_masses_are_as_heavy_and_as_slow_as_point_masses_on_the_chain(name: str)
 def test_what_two_logs_hold_counts_once() -> None:
     made = trace(np.arange(400.0, 500.0))
     first, second = (
-        Trace(**{name: column[rows] for name, column in made._asdict().items()}) for rows in (slice(0, 60), slice(40, 100))
+        Trace(**{name: column[rows] for name, column in made._asdict().items()})
+        for rows in (slice(0, 60), slice(40, 100))
     )
     assert Trace.joined([first, second]).read_s.tolist() == made.read_s.tolist()
