@@ -88,8 +88,7 @@ def _limits(page: Page, report: line.ExperimentReport) -> None:
                 names = ["all effects" if row["without"] is None else f"without {row['without']}" for row in some]
                 values, spreads = ([row[key] for row in some] for key in (stage, "spread_mm"))
                 spread = {"type": "data", "array": spreads, "visible": stage == "after_mm"}
-                marker = {"color": colour}
-                chart.add("bar", x=names, y=values, error_y=spread, name=line.via_text(via), marker=marker)
+                chart.add("bar", x=names, y=values, error_y=spread, name=line.via_text(via), marker={"color": colour})
     page.table(
         ("via", "without", "before, mm", "after, mm", "whole ticks, mm", "zero offsets, mm"),
         [_limit(row) for row in report.limits],

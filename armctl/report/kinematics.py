@@ -109,8 +109,7 @@ def curve(curves: Curves, title: str, first: int | None = None) -> Figure:
         names = ["x", "y", "z"]
     chart = axes("time [s]", f"{title.lower()} [{unit}]", 320)
     for k, (column, name, colour) in enumerate(zip(values.T, names, COLOURS * 6, strict=False)):
-        shown = True if first is None or k < first else "legendonly"
-        line(chart, curves.time_s, column, name, colour, visible=shown)
+        line(chart, curves.time_s, column, name, colour, visible=True if first is None or k < first else "legendonly")
     return chart
 
 

@@ -36,6 +36,8 @@ FAINT, GREY, GREEN = "#b9c2cd", "#7d8b99", "#2a7f62"
 # Dash and width of a path by what was done about the arm's lag: the better its goals, the more it stands out.
 STROKES = {"plain": ("dot", 1.5), "corrected": ("dash", 2.0), "refined": ("solid", 2.5)}
 STROKES |= {"before": ("dot", 1.0), "after": ("solid", 2.0)}
+# Of a curve that is drawn once its name is clicked.
+ON_DEMAND: dict[str, Any] = {"dash": "dash", "width": 1, "visible": "legendonly"}
 # Of a genetic algorithm, at least.
 SHOWN_GENERATIONS = 10
 ALONG, OFF = "along the line, mm", "off the line, mm"
@@ -227,9 +229,8 @@ def along_and_off(
     if np.linalg.norm(sideways) < 1e-6:  # a vertical line has no horizontal direction of its own
         sideways = np.array([1.0, 0.0, 0.0])
     sideways = sideways / np.linalg.norm(sideways)
-    upward = np.cross(sideways, direction)
     offset = (tool_m - from_m) * 1000.0
-    return offset @ direction, offset @ sideways, offset @ upward
+    return offset @ direction, offset @ sideways, offset @ np.cross(sideways, direction)
 
 
 def add_paths(page: Page, ends: Ends, shown: Sequence[Shown], candidates_m: Sequence[FloatArray] = ()) -> None:
@@ -251,9 +252,7 @@ def add_paths(page: Page, ends: Ends, shown: Sequence[Shown], candidates_m: Sequ
                 draw(one.runs[0].real_tool_m, f"{one.name}, {judge}", one.colour, **one.strokes)
             for one in {one.via: one for one in shown}.values():  # one plan, however it ran
                 name, plan = via_text(one.via), one.runs[0]
-                draw(
-                    plan.predicted_tool_m, f"{name}, commanded", one.colour, width=1, dash="dash", visible="legendonly"
-                )
+                draw(plan.predicted_tool_m, f"{name}, commanded", one.colour, **ON_DEMAND)
                 diamonds = {"color": one.colour, "size": 8, "symbol": "diamond"}
                 draw(plan.via_tool_m, f"{name} points", one.colour, mode="markers", marker=diamonds, showlegend=False)
 
@@ -274,14 +273,12 @@ def add_deviations(page: Page, ends: Ends, shown: Sequence[Shown]) -> None:
                 judge = "by encoders" if run.truth_tool_m is None else "true"
                 distance_curve(chart, ends, run.real_tool_m, f"{one.name}, {judge}", one.colour, **one.strokes, **group)
             if (first := one.runs[0]).truth_tool_m is not None:
-                more: dict[str, Any] = {"dash": "dash", "width": 1, "visible": "legendonly"}
-                distance_curve(chart, ends, first.tool_m, f"{one.name}, by encoders", one.colour, **more)
+                distance_curve(chart, ends, first.tool_m, f"{one.name}, by encoders", one.colour, **ON_DEMAND)
 
 
 def distance_curve(chart: Figure, ends: Ends, tool_m: FloatArray, name: str, colour: str, **more: Any) -> None:
     """Distance from the line AB along it."""
-    distance_mm = distance_to_line(tool_m, *ends) * 1000.0
-    curve(chart, along_and_off(tool_m, *ends)[0], distance_mm, name, colour, **more)
+    curve(chart, along_and_off(tool_m, *ends)[0], distance_to_line(tool_m, *ends) * 1000.0, name, colour, **more)
 
 
 def add_generations(page: Page, costs_mm: dict[str, Sequence[float] | FloatArray], levels: dict[str, float]) -> None:

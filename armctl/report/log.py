@@ -233,8 +233,7 @@ def _line_figures(page: Page, *logs: Timeline) -> None:
             continue
         mean_mm, max_mm = errors_mm(points, A, B)
         name = f"{motion.label}, {log.time_s[begin]:.1f} s" + (f", {log.path.name}" if log is not logs[0] else "")
-        duration_s = (motion.end_ns - motion.begin_ns) / NS_PER_S
-        rows.append((name, f"{mean_mm:.2f}", f"{max_mm:.2f}", f"{duration_s:.1f}"))
+        rows.append((name, f"{mean_mm:.2f}", f"{max_mm:.2f}", f"{(motion.end_ns - motion.begin_ns) / NS_PER_S:.1f}"))
         curves.append(((A, B), points, name, colour))
     if not rows:
         return
