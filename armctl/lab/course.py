@@ -59,8 +59,7 @@ def courses(rig: Rig, line: Line, via: int | None, ways: FloatArray) -> Iterator
         return np.asarray(bent + SERVO_ERROR_RAD * sensitivity_m(chain, q, line.A, line.B))
 
     knots = np.broadcast_to(np.linspace(0.0, 1.0, via + 2), (len(ways), via + 2))
-    stations = np.broadcast_to(np.linspace(0.0, 1.0, ways.shape[1]), ways.shape[:2])
-    kept = joint_path(ways, stations, knots[0], "cubic")
+    kept = joint_path(ways, np.broadcast_to(np.linspace(0.0, 1.0, ways.shape[1]), ways.shape[:2]), knots[0], "cubic")
     plain = joint_path(kept, knots, progress_of_ticks(ticks_of(line.duration_s, rig.period_s)), "cubic")
     made = [_course(rig, line, via, ways[i]) for i in np.argsort(cost(plain), kind="stable")[:PLACED_WAYS]]
     yield from sorted(made, key=lambda course: float(cost(course.expected_rad)))
@@ -68,11 +67,9 @@ def courses(rig: Rig, line: Line, via: int | None, ways: FloatArray) -> Iterator
 
 def _course(rig: Rig, line: Line, via: int | None, way: FloatArray) -> Course:
     m = ticks_of(line.duration_s, rig.period_s)
-    s = progress_of_ticks(m)
-    stations = np.linspace(0.0, 1.0, len(way))
-    knots = s if via is None else np.linspace(0.0, 1.0, via + 2)
+    knots = progress_of_ticks(m) if via is None else np.linspace(0.0, 1.0, via + 2)
     kind: Interpolation = "linear" if via is None else "cubic"
-    at_knots = joint_path(way, stations, knots, "cubic")
+    at_knots = joint_path(way, np.linspace(0.0, 1.0, len(way)), knots, "cubic")
     offset = np.zeros((m, 3))
     if line.unseen_m is not None:
         offset = columns_at(np.linspace(0.0, 1.0, m), np.linspace(0.0, 1.0, len(line.unseen_m)), line.unseen_m)

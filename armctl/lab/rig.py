@@ -102,8 +102,7 @@ class VirtualRig:
     def run(self, plan: Plan, *, corrected: bool = True) -> Measured:
         if reasons := preflight(plan, self.arm, self.robot, self.goals_rad):
             raise RequestRefused("PREFLIGHT", reasons)
-        trajectory = joint_trajectory(plan, self.arm, self.goals_rad, self.period_s)
-        trajectory = replace(trajectory, corrected=corrected)
+        trajectory = replace(joint_trajectory(plan, self.arm, self.goals_rad, self.period_s), corrected=corrected)
         clock = self._clock
         clock.seen = []
         clock.observe_from_ns = clock.now_ns() + round((trajectory.begin_s - EARLY_TICKS * self.period_s) * NS_PER_S)
