@@ -182,9 +182,8 @@ def _tables(paper: str, printed: Transcription) -> Iterator[Entry]:
             if np.isnan(true[r, c]):
                 yield Entry(*place, None, NOT_DERIVED, line)
                 continue
-            verdict = EQUAL if gap[r, c] <= bound[r, c] else MISPRINT
             how = f"computed: print is off by {gap[r, c]:.2g}, rounding by {bound[r, c]:.2g} at most"
-            yield Entry(*place, f"{true[r, c]:.7g}", verdict, line, how)
+            yield Entry(*place, f"{true[r, c]:.7g}", EQUAL if gap[r, c] <= bound[r, c] else MISPRINT, line, how)
 
 
 def _statements(paper: str, printed: Transcription) -> Iterator[Entry]:

@@ -152,9 +152,8 @@ def _line(rng: np.random.Generator) -> Measured:
     T, links = frames[-1], _links(frames)
     table = [[n, alpha, a, d, q[n - 1]] for n, a, alpha, d in _rows(frames)]
     entries = _each(7, [[[value] * 2] for value in T[:3].ravel()])
-    large = {f"P_{axis}": float(T[k, 3]) for k, axis in enumerate("xyz")}
     values = {name.replace("_", "", name[0] == "r"): value for name, value in _pose(T, NAMES_OF_002).items()}
-    values |= {**lengths, **large, **_named("theta", q)}
+    values |= {**lengths, **dict(zip(("P_x", "P_y", "P_z"), T[:3, 3].tolist(), strict=True)), **_named("theta", q)}
     # Any points and any line, the fitness of any population.
     A, B, *points = rng.uniform(-0.3, 0.3, (7, 3))
     P, fitness = np.array(points), rng.uniform(0.1, 1.0, 5)

@@ -168,8 +168,7 @@ def _grid_rows(found: dict[str, FloatArray], rows: IntArray) -> list[Row]:
 def _polish_rows(robot: Robot, q: FloatArray, missed: FloatArray) -> list[Row]:
     found = statistics(grid_errors_cm(tool_position(robot.chain, q)))
     rows = _statistics_rows(", GA with polish", found, "not polished")
-    reached = int((missed <= REACHED_M).sum())
-    rows.append(unprinted("targets of the grid reached to 1e-9 m, of 100", str(reached)))
+    rows.append(unprinted("targets of the grid reached to 1e-9 m, of 100", str((missed <= REACHED_M).sum())))
     for (x, y), (distance, near) in out_of_reach(robot).items():
         i, j = int(x - SIDE_CM[0]), int(y - SIDE_CM[0])
         least = abs(float(np.hypot(near[0], near[1])) * 100.0 - float(np.hypot(x, y)))

@@ -71,8 +71,7 @@ def solved_by_polish(robot: Robot, T: FloatArray, seed: int, show: Callable[[flo
     for attempt, begin in product(range(TRIES), range(0, len(T), BATCH)):
         rows = begin + np.flatnonzero(missed[begin : begin + BATCH] > SOLVED)
         if len(rows):
-            seeds = [[seed, attempt, int(k)] for k in rows]
-            run = improved.evolve(problem(robot, T[rows]), improved.DEFAULT, seeds)
+            run = improved.evolve(problem(robot, T[rows]), improved.DEFAULT, [[seed, attempt, int(k)] for k in rows])
             q = refine_poses(robot.chain, T[rows], run.q_rad, robot.limits_rad, iterations=POLISH_ITERATIONS)
             gap = np.maximum(*pose_errors(robot.chain, q, T[rows]))
             better = gap < missed[rows]
@@ -163,12 +162,11 @@ def _exact_rows(robot: Robot, solved: Errors) -> list[Row]:
     branches = finite(robot.closed_form.poses(WANTED[None]))
     exact_m, _ = pose_errors(robot.chain, branches, np.repeat(WANTED[None], len(branches), axis=0))
     share = float((np.maximum(*solved) <= SOLVED).mean())
-    distinct = len(np.unique(np.round(branches, 6), axis=0))
     worst_m, why = float(exact_m.max()), "differs: too many are missed"
     what = f"share of {len(solved[0])} random poses within 1e-6 m and rad, with polish, up to {TRIES} seeds"
     return [
         claim(what, said("001", "precision"), share, share >= 0.999, why=why),
-        unprinted("solutions of Table 2's pose, closed form", str(distinct)),
+        unprinted("solutions of Table 2's pose, closed form", str(len(np.unique(np.round(branches, 6), axis=0)))),
         error("their greatest distance", table_2_errors(IMPROVED_XYZ_RPY)[0], worst_m, "m", why="rounding"),
     ]
 
@@ -181,8 +179,7 @@ def _table_2(robot: Robot, ours: FloatArray, standard: FloatArray) -> Table:
         # The same turn has two triples; print has the one whose pitch is beyond a quarter turn.
         roll, pitch, yaw = rpy_from_matrix(T[:3, :3])
         turns = np.array([roll, -pitch, yaw]) + np.pi
-        values = [*T[:3, 3], *((turns + np.pi) % (2.0 * np.pi) - np.pi)]
-        rows.append((name, *(f"{value:.6f}" for value in values)))
+        rows.append((name, *(f"{value:.6f}" for value in [*T[:3, 3], *((turns + np.pi) % (2.0 * np.pi) - np.pi)])))
     return Table("Table 2: position and RPY", ("", "px m", "py m", "pz m", "roll", "pitch", "yaw"), tuple(rows), "rad")
 
 

@@ -62,8 +62,7 @@ def experiments(seed: int) -> list[Experiment]:
         recorded_m = tuple(tool_position(chain, take[:, : chain.n]) for take in taken.takes)
         found_mm = [(path.mean_error_mm, path.max_error_mm) for path in paths]
         # At the same stations as the paths, and not while the arm stands at an end.
-        alone = [(one.mean_error_mm, one.max_error_mm) for one in printed.baseline]
-        found_mm.append(tuple(np.mean(alone, axis=0)))
+        found_mm.append(tuple(np.mean([(one.mean_error_mm, one.max_error_mm) for one in printed.baseline], axis=0)))
         found_mm.append(tuple(np.mean([true_mm(run, case.line) for run in runs], axis=0)))
         goals = plan_positions(plan, np.arange(0.0, plan.duration_s, table_ii.PERIOD_S))
         found_mm.append(case.line.errors_mm(tool_position(chain, goals[:, : chain.n])))
@@ -151,9 +150,8 @@ def _over_time(done: list[Experiment]) -> Figure:
     figure = axes("time [s]", "distance from the line [mm]", drawn.HEIGHT)
     for via, one in enumerate(done):
         away = distance_to_line(one.found_m[0], A, B) * 1e3
-        time_s = np.linspace(0.0, one.duration_s, len(away))
         name, colour = f"experiment {via + 1}", drawn.COLOURS[2 * via]
-        curve(figure, time_s, away, name, colour)
+        curve(figure, np.linspace(0.0, one.duration_s, len(away)), away, name, colour)
         ends, mean = [0.0, PRINTED[via].duration_s], PRINTED[via].mean_error_mm
         curve(figure, ends, [mean, mean], f"{name}, mean in print", colour, dash="dot")
     return figure

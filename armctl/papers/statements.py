@@ -50,8 +50,7 @@ def _radius_alone() -> tuple[float, float]:
 def _grid_reach() -> tuple[float, float]:
     """How far out of reach the furthest target of the grid is, and the furthest of the other 97 [cm]."""
     beyond = {key: distance for key, (distance, _) in paper_000.out_of_reach(robots.get("xiang-6dof")).items()}
-    named = {(30.0, 30.0), (29.0, 30.0), (30.0, 29.0)}
-    others = [distance for key, distance in beyond.items() if key not in named]
+    others = [distance for key, distance in beyond.items() if key not in {(30.0, 30.0), (29.0, 30.0), (30.0, 29.0)}]
     return max(beyond.values()) * 100.0, max(others, default=0.0) * 100.0
 
 
