@@ -275,8 +275,7 @@ def log_line(event: Event, epoch_ns: int, source: str) -> Value:
 
 def _records(record: TickRecord, kind: str, parts: Iterable[Command | Reply]) -> list[Message]:
     """What `parse_record` reads: commands or replies of a tick on /armctl/command."""
-    tick = record.inputs.tick
-    return [string_message(COMMAND, f'{{"tick":{tick},"{kind}":{to_json(part)}}}') for part in parts]
+    return [string_message(COMMAND, f'{{"tick":{record.inputs.tick},"{kind}":{to_json(part)}}}') for part in parts]
 
 
 def parse_record(text: str) -> tuple[int, str, Any] | None:

@@ -221,8 +221,7 @@ class _Walk:
     ) -> None:
         self._name, self._messages, self._buffer = name, messages, buffer
         self._starts, self._sizes, self._least = starts, sizes, int(sizes.min())
-        strides = np.diff(starts)
-        self._stride = self._least if (sizes == self._least).all() and (strides == self._least).all() else 0
+        self._stride = self._least if (sizes == self._least).all() and (np.diff(starts) == self._least).all() else 0
         self._columns: dict[str, Column | Texts] = {}
         self._fields = 0
 

@@ -248,12 +248,10 @@ class _Before:
     def take(self, message: LogMessage) -> None:
         if message.topic in _STANDING:
             self._standing[message.topic] = message
-        if message.topic == channels.STATE:
-            self._since.clear()
-        if message.topic == channels.STATE or (self._since and len(self._since) < MAX_WARMUP_MESSAGES):
-            self._since.append(message)
-        else:
+        if message.topic == channels.STATE or len(self._since) >= MAX_WARMUP_MESSAGES:
             self._since.clear()  # with a tick missing, the state cannot be computed
+        if message.topic == channels.STATE or self._since:
+            self._since.append(message)
 
     def write(self, copy: Rewrite, first: LogMessage) -> bool:
         """Say it again just before the first message behind the cut; whether a replay can begin there."""

@@ -108,14 +108,13 @@ def _minutes(table: Table) -> Iterator[tuple[Any, ...]]:
             continue
         torque, load, position, goal, heat, voltage = (channels.register_column(blocks, one) for one in _REGISTERS)
         begins = np.flatnonzero(np.diff(times // MINUTE_NS, prepend=-1))
-        counts = np.diff(begins, append=len(times))
         load, under_torque = (load & 1023) / 1023.0, np.add.reduceat((torque > 0).astype(float), begins)
         error_deg = np.abs(position - goal) * (torque > 0) * math.degrees(ax12a.TICK_RAD)
         columns = (
             times[begins] / NS_PER_S,
             np.maximum.reduceat(heat, begins),
             np.maximum.reduceat(load, begins),
-            np.add.reduceat(load, begins) / counts,
+            np.add.reduceat(load, begins) / np.diff(begins, append=len(times)),
             np.minimum.reduceat(voltage, begins) / 10.0,
             # Of no tick with torque: no figure.
             np.add.reduceat(error_deg, begins) / np.where(under_torque, under_torque, np.nan),

@@ -21,7 +21,7 @@ from functools import cache, partial
 from importlib import import_module
 from itertools import islice, pairwise
 from pathlib import Path
-from typing import Any, BinaryIO, Literal, NamedTuple, Self
+from typing import Any, BinaryIO, Literal, Self
 
 import numpy as np
 
@@ -52,7 +52,8 @@ _QUANTITIES = (
 _TOOL = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 
 
-class ExportResult(NamedTuple):
+@dataclass(frozen=True)
+class ExportResult:
     """Files that were written, and the rows of each table."""
 
     paths: tuple[Path, ...]
@@ -223,7 +224,8 @@ def _flatten(row: Row, prefix: str, value: Any, topic: str) -> None:
         for name, part in named.items():
             _flatten(row, f"{outer}.{name}." if outer else f"{name}.", part, topic)
     else:
-        row[prefix[:-1]] = _cell(value)
+        plain = value.hex() if isinstance(value, bytes) else value
+        row[prefix[:-1]] = json.dumps(plain, default=bytes.hex) if isinstance(plain, list) else plain
 
 
 def _by_name(parts: list[Any]) -> dict[str, Any]:
@@ -235,12 +237,6 @@ def _by_name(parts: list[Any]) -> dict[str, Any]:
                 # A name with a single value needs no third word.
                 return {name: part.get("value", part) for name, part in named.items()}
     return {}
-
-
-def _cell(value: Any) -> Any:
-    if isinstance(value, bytes):
-        return value.hex()
-    return json.dumps(value, default=bytes.hex) if isinstance(value, list) else value
 
 
 # ------------------------------------------------------------------------------------------------------ files
@@ -281,7 +277,7 @@ def _excel_cell(sheet: Any, cell: Cell) -> Any:
         text = WriteOnlyCell(sheet, ILLEGAL_CHARACTERS_RE.sub("\N{REPLACEMENT CHARACTER}", cell)[:EXCEL_TEXT])
         text.data_type = "s"  # never a formula, whatever it begins with
         return text
-    return cell if not isinstance(cell, float) else float(cell) if math.isfinite(cell) else None
+    return (float(cell) if math.isfinite(cell) else None) if isinstance(cell, float) else cell
 
 
 def _write_parquet(facts: dict[str, str], stream: BinaryIO, tables: Sequence[_Table]) -> None:

@@ -19,10 +19,10 @@ import os
 import sqlite3
 import sys
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from pathlib import Path
 from subprocess import DEVNULL, Popen
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 from armctl.errors import LogError
 from armctl.recording.notes import FIGURES, NOTE, NOTE_LEVEL, notes
@@ -37,7 +37,7 @@ FEW = 12
 _TABLES = Path(__file__).with_suffix(".sql")
 
 
-class Index:
+class Index(AbstractContextManager["Index"]):
     """The index of a folder; `catch_up` before asking.
 
     Raises:
@@ -57,9 +57,6 @@ class Index:
             with suppress(sqlite3.Error, OSError):  # no room, or no right
                 self._db = _opened(self.path)
                 break
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         self._db.close()

@@ -16,10 +16,10 @@ import mmap
 import struct
 import zlib
 from collections.abc import Callable, Collection, Generator, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from itertools import chain
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
@@ -62,7 +62,7 @@ class LogMessage(NamedTuple):
     data: bytes
 
 
-class LogFile:
+class LogFile(AbstractContextManager["LogFile"]):
     """One pass over a file: attachments and facts are known at once, messages come from `messages`.
 
     Args:
@@ -220,9 +220,6 @@ class LogFile:
     @property
     def topics(self) -> frozenset[str]:
         return frozenset(self._by_topic)
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self._scanning.close()

@@ -184,9 +184,8 @@ class Retention:
             OSError: the folder cannot be read, or a file not be deleted.
         """
         stock = self._read()
-        if more_bytes <= self._spare_bytes and self._disk.free_bytes(self._folder) >= self._limits.free_bytes:
-            return ()
-        if not self._surplus(stock, more_bytes):
+        fits = more_bytes <= self._spare_bytes and self._disk.free_bytes(self._folder) >= self._limits.free_bytes
+        if fits or not self._surplus(stock, more_bytes):
             return ()
         gone = self._surplus(self._read(at_once=True), more_bytes)
         for log in gone:

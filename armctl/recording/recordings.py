@@ -144,8 +144,7 @@ def _waited_s(cycles: Sequence[Table], times_ns: NDArray[np.int64]) -> FloatArra
     if not (steps > 0.0).any():
         return np.zeros(len(times_ns))
     share = np.clip(1.0 - steps / np.median(steps[steps > 0.0]), 0.0, 1.0)
-    waits = (progress >= 0.0) & (share > 0.1)
-    waited_ns = np.append(0.0, np.cumsum(np.where(waits, share * np.diff(at_ns), 0.0)))
+    waited_ns = np.append(0.0, np.cumsum(np.where((progress >= 0.0) & (share > 0.1), share * np.diff(at_ns), 0.0)))
     return np.asarray(np.interp(times_ns, at_ns, waited_ns) / NS_PER_S)
 
 

@@ -245,8 +245,7 @@ class Rerun:
 
     def _finish(self, tick: _Tick, cycle: Value, epoch_ns: int) -> None:
         number, time_ns, own = cycle["tick"], cycle["time_ns"], not cycle["inputs_only"]
-        gap = self._last_tick is not None and number != self._last_tick + 1
-        if gap or cycle["dropped"] or tick.servos is None:
+        if (self._last_tick is not None and number != self._last_tick + 1) or cycle["dropped"] or tick.servos is None:
             self.state, self._diagnosed = None, ()
             self._gap_ns = self._gap_ns or self._own_ns
         if number == 0:

@@ -337,5 +337,4 @@ def _stamp(epoch_ns: int) -> str:
 def _problem(error: Exception) -> str:
     cause = error if isinstance(error, OSError) else error.__cause__
     number = cause.errno if isinstance(cause, OSError) else None
-    code = "NO_SPACE" if number in (errno.ENOSPC, errno.EDQUOT) else "LOG_ERROR"
-    return f"{code}: {error}"
+    return f"{'NO_SPACE' if number in (errno.ENOSPC, errno.EDQUOT) else 'LOG_ERROR'}: {error}"

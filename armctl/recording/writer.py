@@ -282,13 +282,11 @@ class LogWriter:
             if (shape := self._shapes[key]) is None:
                 self._add(epoch_ns, (row.topic, row.value()))
             else:
-                data = shape.pack(row.numbers)
-                self._writer.add_message(self._channels[row.topic], epoch_ns, self._sequence, data)
+                self._writer.add_message(self._channels[row.topic], epoch_ns, self._sequence, shape.pack(row.numbers))
 
     def _add(self, epoch_ns: int, *messages: Message) -> None:
         for topic, value in messages:
-            data = TOPICS[topic].codec.encode(value)
-            self._writer.add_message(self._channels[topic], epoch_ns, self._sequence, data)
+            self._writer.add_message(self._channels[topic], epoch_ns, self._sequence, TOPICS[topic].codec.encode(value))
 
 
 def _yaml(data: dict[str, Any]) -> str:
