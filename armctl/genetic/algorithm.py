@@ -133,10 +133,9 @@ class GeneticAlgorithm:
         """Select by the costs (>= 0, shape (population,)) of the individuals asked for, and reproduce."""
         if cost.min() < self.best_cost:
             self.best, self.best_cost = self._asked[cost.argmin()].copy(), float(cost.min())
-        pool = np.concatenate([self._parents, self._asked])
         pool_cost = np.concatenate([self._parent_cost, cost])
         kept = self._truncation(pool_cost) if self.settings.selection == "truncation" else self._roulette(pool_cost)
-        self._parents, self._parent_cost = pool[kept], pool_cost[kept]
+        self._parents, self._parent_cost = np.concatenate([self._parents, self._asked])[kept], pool_cost[kept]
         self._asked = self._offspring()
 
     def _truncation(self, cost: FloatArray) -> IntArray:

@@ -82,8 +82,7 @@ def align(
             reasons.append(f"recording {number}: {error}")
     if reasons:
         raise RequestRefused("BAD_RECORDINGS", _out_of_reach(arm, chain, A, B) + reasons)
-    takes = np.repeat(np.arange(len(aligned))[:, None], 2, axis=1)
-    return _candidates(chain, progress, np.array(aligned), takes)
+    return _candidates(chain, progress, np.array(aligned), np.repeat(np.arange(len(aligned))[:, None], 2, axis=1))
 
 
 def with_blends(some: Candidates, arm: ArmConfig, chain: SerialChain, A: FloatArray, B: FloatArray) -> Candidates:
@@ -94,9 +93,8 @@ def with_blends(some: Candidates, arm: ArmConfig, chain: SerialChain, A: FloatAr
         A, B: Ends of the line in the base frame [m], shape (3,).
     """
     limits = np.array([joint.limits_rad for joint in arm.joints[: chain.n]])
-    straightest = distance_to_line(some.tool_m, A, B).mean(axis=1).argsort(kind="stable").tolist()
     positions, takes = list(some.positions_rad), some.takes.tolist()
-    for pair in combinations(straightest, 2):
+    for pair in combinations(distance_to_line(some.tool_m, A, B).mean(axis=1).argsort(kind="stable").tolist(), 2):
         if len(positions) >= MOST_CANDIDATES:
             break
         blend = some.positions_rad[list(pair)].mean(axis=0)

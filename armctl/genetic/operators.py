@@ -44,8 +44,7 @@ def one_cut_crossover(population: IntArray, probability: float, rng: np.random.G
     """Each chromosome becomes a parent with `probability`; random pairs of parents swap all genes after one cut."""
     parents = rng.permutation(np.flatnonzero(rng.random(len(population)) < probability))
     first, second = parents[: len(parents) // 2], parents[len(parents) // 2 : len(parents) // 2 * 2]
-    cut = rng.integers(1, population.shape[1], (len(first), 1))
-    swap = np.arange(population.shape[1]) >= cut
+    swap = np.arange(population.shape[1]) >= rng.integers(1, population.shape[1], (len(first), 1))
     children = population.copy()
     children[first] = np.where(swap, population[second], population[first])
     children[second] = np.where(swap, population[first], population[second])

@@ -178,8 +178,7 @@ class _Line:
 
     def candidates(self, nominal_s: float) -> Candidates:
         """The recordings at as many stations as a motion of that duration has; blends too where genes may be free."""
-        stations = _stations(nominal_s, self._request.via)
-        some = align(self._recordings, self._arm, self._chain, *self._ends, stations)
+        some = align(self._recordings, self._arm, self._chain, *self._ends, _stations(nominal_s, self._request.via))
         return with_blends(some, self._arm, self._chain, *self._ends) if self._request.free else some
 
     def cost(self, some: Candidates, nominal_s: float) -> PathCost:

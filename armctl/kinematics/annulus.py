@@ -55,8 +55,7 @@ class PlaneReach(NamedTuple):
         u, height = min(candidates, key=lambda uv: self._square(uv[0], uv[1], rho, v))
         near_rho = math.hypot(u + self.a1, self.offset)
         c, s = (x / rho, y / rho) if rho > sys.float_info.min else (1.0, 0.0)
-        near = np.array([near_rho * c, near_rho * s, height + self.height])
-        return near, math.sqrt(self._square(u, height, rho, v))
+        return np.array([near_rho * c, near_rho * s, height + self.height]), math.sqrt(self._square(u, height, rho, v))
 
     def _square(self, u: float, height: float, rho: float, v: float) -> float:
         return (math.hypot(u + self.a1, self.offset) - rho) ** 2 + (height - v) ** 2

@@ -67,8 +67,7 @@ class SerialChain:
     @property
     def reach_m(self) -> float:
         """Bound on how far the tool is from the base."""
-        rows = sum(abs(row.a) + abs(row.d) + abs(row.b) for row in (*self.rows, self.tool))
-        return rows + abs(self.tool_m)
+        return sum(abs(row.a) + abs(row.d) + abs(row.b) for row in (*self.rows, self.tool)) + abs(self.tool_m)
 
     @property
     def n(self) -> int:
@@ -87,7 +86,7 @@ class SerialChain:
 def _exact_cos_sin(angle: float) -> tuple[float, float]:
     """The twists of real arms are multiples of 90 deg, as near as a float comes to them: theirs are kept exact."""
     quarter = angle / (np.pi / 2.0)
-    return QUARTER_TURNS[round(quarter) % 4] if (abs(quarter - round(quarter)) < 1e-14) else cos_sin(angle)
+    return QUARTER_TURNS[round(quarter) % 4] if abs(quarter - round(quarter)) < 1e-14 else cos_sin(angle)
 
 
 def blocks(count: int, size: int = BLOCK) -> Iterator[slice]:

@@ -154,11 +154,10 @@ def refine_poses(
     Returns:
         q, shape (m, n): never worse than the (clamped) start.
     """
-    scale = 1.0 / max(chain.reach_m, 1e-9)
     turning = limits[:, 1] - limits[:, 0] >= TURN_RAD
     low, high = np.where(turning, -np.inf, limits[:, 0]), np.where(turning, np.inf, limits[:, 1])
     q = np.clip(np.asarray(q_start, dtype=np.float64), low, high)
-    weights = np.array([scale] * 3 + [1.0 if turned else 0.0] * 3)
+    weights = np.array([1.0 / max(chain.reach_m, 1e-9)] * 3 + [1.0 if turned else 0.0] * 3)
     error = _weighted_error(chain, q, T, weights, direction)
     cost = (error**2).sum(axis=-1)
     damping = np.full(len(q), 1e-6)

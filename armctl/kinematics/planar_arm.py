@@ -230,5 +230,4 @@ def _feasible(u: FloatArray, v: FloatArray, link: float, inner: tuple[float, ...
     least = np.arccos(np.clip((distance**2 + link**2 - low * low) / across, -1.0, 1.0))
     most = np.arccos(np.clip((distance**2 + link**2 - high * high) / across, -1.0, 1.0))
     off = ARRAYS.wrapped(wanted - bearing)
-    turned = bearing + np.copysign(np.clip(np.abs(off), least, most), off)
-    return np.where(across > 0.0, turned, wanted)
+    return np.where(across > 0.0, bearing + np.copysign(np.clip(np.abs(off), least, most), off), wanted)

@@ -100,8 +100,7 @@ def weighted_travel(q: FloatArray, present: FloatArray, limits: FloatArray) -> F
 
 def within_limits(q: FloatArray, limits: FloatArray) -> NDArray[np.bool_]:
     """Whether each configuration, shape (..., n), keeps all joint ranges; bool, shape (...,)."""
-    inside = (q >= limits[:, 0] - LIMIT_SLACK_RAD) & (q <= limits[:, 1] + LIMIT_SLACK_RAD)
-    return np.asarray(inside.all(axis=-1))
+    return np.asarray(((q >= limits[:, 0] - LIMIT_SLACK_RAD) & (q <= limits[:, 1] + LIMIT_SLACK_RAD)).all(axis=-1))
 
 
 def solve(
@@ -136,9 +135,7 @@ def solve(
         return alone
     q, least = _found(form, robot, target, present, limits, seed)
     found = answer(robot, target, q, present, limits, least=least, polish=polish)
-    if not (stands and within_limits(present, limits)):
-        return found
-    if not _errors(robot, target, present[None])[2][0]:
+    if not (stands and within_limits(present, limits) and _errors(robot, target, present[None])[2][0]):
         return found
     # The arm is there: it stays.
     here = Solution(tuple(present.tolist()), True, partial(_missed, robot, target))
@@ -246,8 +243,7 @@ def _searched(
 
 def _beyond_rad(q: FloatArray, limits: FloatArray) -> FloatArray:
     """By how much configurations, shape (..., n), are beyond their limits, all joints together; 0: they are not."""
-    beyond = np.maximum(limits[:, 0] - q, q - limits[:, 1]) - LIMIT_SLACK_RAD
-    return np.asarray(np.maximum(beyond, 0.0).sum(axis=-1))
+    return np.asarray(np.maximum(np.maximum(limits[:, 0] - q, q - limits[:, 1]) - LIMIT_SLACK_RAD, 0.0).sum(axis=-1))
 
 
 def _cost(q: FloatArray, present: FloatArray, limits: FloatArray) -> FloatArray:
@@ -345,5 +341,5 @@ def _whole_turns(robot: Robot) -> FloatArray:
 def _polished(robot: Robot, target: Target, q: FloatArray) -> FloatArray:
     """The configurations brought onto the target, each near where it was; as they are where that does not succeed."""
     refined = _refined(robot, target, q, _whole_turns(robot))
-    reached = _errors(robot, target, refined)[2]
-    return np.where(reached[:, None], q + (refined - q + np.pi) % (2.0 * np.pi) - np.pi, q)
+    near = q + (refined - q + np.pi) % (2.0 * np.pi) - np.pi
+    return np.where(_errors(robot, target, refined)[2][:, None], near, q)

@@ -176,8 +176,7 @@ class SphericalWrist:
 def poses_along(point: FloatArray, axes: FloatArray) -> FloatArray:
     """Poses at points [m] whose z axes are the unit vectors `axes`, shapes (k, 3) or (3,), (k, 3) -> (k, 4, 4)."""
     T = np.zeros((len(axes), 4, 4))
-    steep = np.abs(axes[:, 2]) > 0.9
-    side = np.cross(np.where(steep[:, None], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]), axes)
+    side = np.cross(np.where((np.abs(axes[:, 2]) > 0.9)[:, None], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]), axes)
     T[:, :3, 1] = side / np.linalg.norm(side, axis=1, keepdims=True)
     T[:, :3, 2] = axes
     T[:, :3, 0] = np.cross(T[:, :3, 1], axes)

@@ -171,7 +171,7 @@ def _spherical(on: _Axes) -> Candidate:
     else:
         wrist = on.at[3] + e4 * float(np.cross(on.at[5] - on.at[3], e6) @ across / (across @ across))
     # x of link 3 lies a quarter turn behind axis 4, in the arm's plane.
-    x3 = np.cross(e4, np.array([0.0, -1.0, 0.0]))
+    x3 = np.cross(e4, [0.0, -1.0, 0.0])
     forearm = wrist - on.at[2]
     a2, a3, d4 = float(np.linalg.norm(upper)), float(forearm @ x3), float(forearm @ e4)
     d6, shoulder = float((on.at[-1] - wrist) @ e6), -float(wrist[1])

@@ -58,8 +58,7 @@ def fixed_frames(arm: ArmConfig, robot: Robot) -> tuple[tuple[str, str, FloatArr
 def urdf(arm: ArmConfig, robot: Robot) -> str:
     """The arm as URDF; joint names and limits from the calibration, frames from the robot's chain."""
     chain, links = robot.chain, moving_links(arm)
-    lines = ['<?xml version="1.0"?>', f'<robot name="{arm.arm_id}">']
-    lines += _link(BASE)
+    lines = ['<?xml version="1.0"?>', f'<robot name="{arm.arm_id}">', *_link(BASE)]
     for index, (parent, link) in enumerate(pairwise((BASE, *links))):
         joint = arm.joints[index]
         if index < chain.n:
@@ -76,8 +75,7 @@ def urdf(arm: ArmConfig, robot: Robot) -> str:
             lines += _joint(f"{link}:offset", "fixed", child, link, _frame(F))
         lines += _link(link)
     lines += _joint(f"{TOOL}:offset", "fixed", links[chain.n - 1], TOOL, _frame(_tool_offset(chain)))
-    lines += [f'  <link name="{TOOL}"/>', "</robot>", ""]
-    return "\n".join(lines)
+    return "\n".join([*lines, f'  <link name="{TOOL}"/>', "</robot>", ""])
 
 
 def _horn(link: str) -> str:
@@ -92,8 +90,7 @@ def _row_parts(chain: SerialChain, row: DHRow) -> tuple[FloatArray, FloatArray]:
 
 
 def _tool_offset(chain: SerialChain) -> FloatArray:
-    whole = SerialChain((DHRow(),), "modified", chain.tool_m, chain.tool)
-    return np.asarray(link_frames(whole, np.zeros(1))[-1])
+    return np.asarray(link_frames(SerialChain((DHRow(),), "modified", chain.tool_m, chain.tool), np.zeros(1))[-1])
 
 
 def _turned_about_x(T: FloatArray, angle: float) -> FloatArray:
@@ -125,7 +122,5 @@ def _link(name: str, end: FloatArray | None = None) -> list[str]:
         x, y, z = (end / length).tolist()
         rpy = (0.0, math.acos(max(-1.0, min(1.0, z))), math.atan2(y, x))
         shapes.append((end / 2.0, rpy, f'<cylinder radius="{RADIUS_M}" length="{length!r}"/>'))
-    lines = [f'  <link name="{name}">']
-    for centre, rpy, shape in shapes:
-        lines.append(f"    <visual>{_origin(centre, rpy)}<geometry>{shape}</geometry></visual>")
-    return [*lines, "  </link>"]
+    seen = (f"    <visual>{_origin(centre, rpy)}<geometry>{shape}</geometry></visual>" for centre, rpy, shape in shapes)
+    return [f'  <link name="{name}">', *seen, "  </link>"]

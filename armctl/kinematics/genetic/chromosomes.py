@@ -114,9 +114,8 @@ def roulette(fitness: FloatArray, chance: FloatArray) -> IntArray:
     Returns:
         Indices, shape (runs, draws).
     """
-    cumulative = fitness.cumsum(axis=1)
     drawn = np.empty(chance.shape, dtype=np.int64)
-    for sums, chances, out in zip(cumulative, chance, drawn, strict=True):
+    for sums, chances, out in zip(fitness.cumsum(axis=1), chance, drawn, strict=True):
         out[:] = sums.searchsorted(chances * sums[-1], side="right")
     # Rounding may carry a draw up to the last sum itself.
     return np.asarray(np.minimum(drawn, fitness.shape[1] - 1))
@@ -131,9 +130,8 @@ def cross(coding: Coding, words: Words, crossing: FloatArray, cut: FloatArray, p
     """
     pairs = words.shape[1] // 2
     place = 1 + (cut * (coding.length - 1)).astype(np.int64)
-    tail = np.where((crossing < probability)[..., None], coding.tails[place], np.uint32(0))
     first, second = words[:, 0 : 2 * pairs : 2], words[:, 1 : 2 * pairs : 2]
-    swapped = (first ^ second) & tail
+    swapped = (first ^ second) & np.where((crossing < probability)[..., None], coding.tails[place], np.uint32(0))
     children = words.copy()
     children[:, 0 : 2 * pairs : 2] ^= swapped
     children[:, 1 : 2 * pairs : 2] ^= swapped

@@ -56,10 +56,9 @@ def evolve(problem: Problem, settings: Settings, seeds: Sequence[int | Sequence[
     every = np.arange(len(seeds))[:, None]
     for _ in range(settings.generations):
         cost = course.judged(words)
-        chance = streams.uniform(draws)
         best = words[every, cost.argsort(axis=1)[:, : settings.elite]]
         worth = fitness(cost) if settings.selection == "roulette" else ranks(cost)
-        words = chromosomes.offspring(coding, words, worth, chance, settings.crossover_probability)
+        words = chromosomes.offspring(coding, words, worth, streams.uniform(draws), settings.crossover_probability)
         words[:, : settings.elite] = best
     return course.evolution()
 

@@ -132,5 +132,4 @@ def behind_the_waist(problem: Problem) -> Problem:
 def moving(chain: SerialChain) -> tuple[int, ...]:
     """The joints that move the tool point."""
     q = np.random.default_rng(0).uniform(-np.pi, np.pi, (8, chain.n))
-    moves = np.abs(jacobian(chain, q)[:, :3]).max(axis=(0, 1)) > MOVES_M
-    return tuple(int(joint) for joint in np.flatnonzero(moves))
+    return tuple(int(joint) for joint in np.flatnonzero(np.abs(jacobian(chain, q)[:, :3]).max(axis=(0, 1)) > MOVES_M))
