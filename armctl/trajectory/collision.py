@@ -37,8 +37,7 @@ def judged_pairs(points: FloatArray, radius_m: float) -> NDArray[np.intp]:
         points: Ends of all links in one pose [m], shape (n + 1, 3); lengths are the same in every pose.
     """
     end_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    pairs = combinations(range(len(points) - 1), 2)
-    chosen = [(i, j) for i, j in pairs if end_m[j] - end_m[i + 1] > 2.0 * radius_m]
+    chosen = [(i, j) for i, j in combinations(range(len(points) - 1), 2) if end_m[j] - end_m[i + 1] > 2.0 * radius_m]
     return np.array(chosen, dtype=np.intp).reshape(-1, 2)
 
 

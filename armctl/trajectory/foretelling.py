@@ -144,11 +144,10 @@ class Guess(NamedTuple):
 
     def prior(self) -> FloatArray:
         """Standard deviations of all numbers: of masses, then of each joint's `Motor`."""
-        masses = [SERVO_SHARE] * (len(self.kg) - 1) + [TOOL_SHARE]
         motors = np.tile([sd for _, sd, _ in LIKELY], (len(self.stall_Nm), 1))
         at = Motor._fields.index("delay_s")
         motors[:, at] = np.where(np.isnan(self.delay_s[1]), motors[:, at], self.delay_s[1])
-        return np.concatenate([masses, motors.ravel()])
+        return np.concatenate([[SERVO_SHARE] * (len(self.kg) - 1), [TOOL_SHARE], motors.ravel()])
 
     def means(self, theta: FloatArray, h: int) -> tuple[FloatArray, Motor]:
         """Weights (masses [kg], and those times the zeros of each joint [rad]), and the motor of a joint."""

@@ -134,8 +134,7 @@ def straight(path_rad: FloatArray, q_now: Sequence[float], on: Driven) -> JointT
 
     slower = max(1.0, times_too_fast(rows(LOOKS), duration_s / LOOKS, joints))
     chain = rows(max(1, math.ceil(duration_s * slower / on.period_s)))
-    others = np.tile(np.asarray(q_now[n:]), (len(chain), 1))
-    positions = np.concatenate((chain, others), axis=1)
+    positions = np.concatenate((chain, np.tile(np.asarray(q_now[n:]), (len(chain), 1))), axis=1)
     return _settled(_trajectory(positions, on.period_s, "straight"), q_now, on)
 
 
@@ -230,8 +229,7 @@ def _trajectory(positions_rad: FloatArray, period_s: float, label: str) -> Joint
 
 def _settled(trajectory: JointTrajectory, q_now: Sequence[float], on: Driven) -> JointTrajectory:
     """The trajectory with time to come to rest at its end, if it may be run."""
-    rows = trajectory.positions_rad
-    rows += rows[-1:] * math.ceil(SETTLE_S / on.period_s)
+    rows = trajectory.positions_rad + trajectory.positions_rad[-1:] * math.ceil(SETTLE_S / on.period_s)
     if reasons := preflight_motion(np.array(rows), on, start_rad=q_now):
         raise RequestRefused("PREFLIGHT", reasons)
     return replace(trajectory, positions_rad=rows)

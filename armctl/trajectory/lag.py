@@ -185,8 +185,7 @@ def fitted(arm: ArmConfig, chain: SerialChain, motions: Sequence[Summary]) -> La
         scale = SPREAD * np.abs(prior[i])
         scale[-1] = CONSTANT_RAD
         normal = scale[:, None] * whole.XX[i] * scale + TICK_RAD**2 * np.eye(n + 3)
-        pull = scale * (whole.Xy[i] - whole.XX[i] @ prior[i])
-        coefficients[i] = prior[i] + scale * np.linalg.solve(normal, pull)
+        coefficients[i] = prior[i] + scale * np.linalg.solve(normal, scale * (whole.Xy[i] - whole.XX[i] @ prior[i]))
     return model_of(arm, coefficients, motions)
 
 

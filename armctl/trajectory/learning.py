@@ -153,5 +153,4 @@ def better(arm: ArmConfig, chain: SerialChain, motions: Sequence[Summary], prese
     wins = (newest.squares(trial) < BETTER**2 * newest.squares(in_use)) & (newest.count >= SAMPLES)
     if not wins.any():
         return None
-    rows = np.where(wins[:, None], np.array(lag.fitted(arm, chain, motions).rows), in_use)
-    return lag.model_of(arm, rows, motions)
+    return lag.model_of(arm, np.where(wins[:, None], np.array(lag.fitted(arm, chain, motions).rows), in_use), motions)

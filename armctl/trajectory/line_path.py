@@ -53,8 +53,7 @@ def line_paths(on: Driven, line: Line, rng: np.random.Generator, *, most: int) -
     A, B, duration_s = np.asarray(line.A, dtype=np.float64), np.asarray(line.B, dtype=np.float64), line.duration_s
     check_line(A, B, duration_s)
     arm, chain = on.arm, on.robot.chain
-    limits = np.array([joint.limits_rad for joint in arm.joints[: chain.n]])
-    limits = limits + np.array([MARGIN_RAD, -MARGIN_RAD])
+    limits = np.array([joint.limits_rad for joint in arm.joints[: chain.n]]) + np.array([MARGIN_RAD, -MARGIN_RAD])
     progress = np.linspace(0.0, 1.0, STATIONS)
     on_line = A + progress[:, None] * (B - A)
     ends = [_postures(chain, X, limits, rng) for X in (A, B)]
@@ -65,8 +64,7 @@ def line_paths(on: Driven, line: Line, rng: np.random.Generator, *, most: int) -
     first, last = first[near], last[near]
     ways = first[:, None] + (last - first)[:, None] * progress[:, None]
     ways, missed = onto(chain, np.broadcast_to(on_line, (*ways.shape[:2], 3)), ways, limits, 12)
-    exact = (missed < REACHED_M).all(axis=1) & (np.abs(np.diff(ways, 2, axis=1)) < SMOOTH_RAD).all(axis=(1, 2))
-    ways = ways[exact]
+    ways = ways[(missed < REACHED_M).all(axis=1) & (np.abs(np.diff(ways, 2, axis=1)) < SMOOTH_RAD).all(axis=(1, 2))]
     if not len(ways):
         raise RequestRefused("LINE", _out_of_reach(chain, limits, A, B, arm.floor_m, rng))
     ways = above_floor(chain, ways, arm, "line")

@@ -170,8 +170,7 @@ class _Search:
         stay = np.full(D.shape[1], self.stay)
         stay[size:] = (0.01**2) * m
         pull = np.concatenate([(W - self.begin).ravel(), (tau - self.knots)[1 : free + 1]])
-        normal = D.T @ D + np.diag(stay + self.damping)
-        return np.asarray(-np.linalg.solve(normal, D.T @ r.ravel() + stay * pull))
+        return np.asarray(-np.linalg.solve(D.T @ D + np.diag(stay + self.damping), D.T @ r.ravel() + stay * pull))
 
     def step_each(self, r: FloatArray, rows: FloatArray, W: FloatArray) -> FloatArray:
         """The same step where each instant has a waypoint of its own: the normal equations fall apart."""

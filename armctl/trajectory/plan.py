@@ -202,8 +202,7 @@ def approached(
         positions[going] = rest_to_rest(q0, q1, (time_s[going] - set_off_s) / max(there_s - set_off_s, 1e-9))
         set_off_s = there_s
     begin_s, end_s = begin * period_s - ROUNDING_S, begin * period_s + duration_s - ROUNDING_S
-    found = tuple(map(tuple, positions.tolist()))
-    return JointTrajectory(period_s, found, begin_s=begin_s, end_s=end_s, label=label)
+    return JointTrajectory(period_s, tuple(map(tuple, positions.tolist())), begin_s=begin_s, end_s=end_s, label=label)
 
 
 def lead(plan: Plan) -> FloatArray:
@@ -233,5 +232,4 @@ def preflight(plan: Plan, arm: ArmConfig, robot: Robot, q_now: Sequence[float]) 
         return (*reasons, f"the plan moves {len(plan.waypoints_rad[0])} joints, the arm has {joints}")
     if len(q_now) != joints or not all(map(math.isfinite, q_now)):
         return (*reasons, f"the arm stands at {list(q_now)}, not {joints} known joint angles; connect it first")
-    motion = partial(plan_positions, plan)
-    return (*reasons, *against(motion, plan.duration_s, arm, robot, q_now, early_s=math.inf))
+    return (*reasons, *against(partial(plan_positions, plan), plan.duration_s, arm, robot, q_now, early_s=math.inf))

@@ -95,8 +95,7 @@ def peak_rates(q: FloatArray, period_s: float) -> tuple[FloatArray, FloatArray]:
     window = max(1, round(ACCELERATION_WINDOW_S / period_s))
     padded = np.concatenate([np.repeat(q[:1], window, axis=0), q, np.repeat(q[-1:], window, axis=0)])
     bend = padded[2 * window :] - 2.0 * padded[window:-window] + padded[: -2 * window]
-    speed = np.abs(np.diff(q, axis=0)).max(axis=0) / period_s
-    return speed, np.abs(bend).max(axis=0) / (window * period_s) ** 2
+    return np.abs(np.diff(q, axis=0)).max(axis=0) / period_s, np.abs(bend).max(axis=0) / (window * period_s) ** 2
 
 
 def times_too_fast(q: FloatArray, period_s: float, joints: Sequence[JointConfig]) -> float:

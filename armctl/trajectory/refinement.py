@@ -239,8 +239,7 @@ class Refinement:
     def _better(self, one: Round, best: Round) -> bool:
         """Whether a plan takes the kept one's place."""
         noise_mm = repeat_noise_mm([*self.rounds, one]) * (1.0 / len(one.runs) + 1.0 / len(best.runs)) ** 0.5
-        believed = len(one.runs) >= RUNS or self._left is not None
-        return believed and one.filtered_mm + noise_mm < best.filtered_mm
+        return (len(one.runs) >= RUNS or self._left is not None) and one.filtered_mm + noise_mm < best.filtered_mm
 
 
 def following(steps: Steps, told: Measured | RequestRefused | None = None) -> Round | None:

@@ -73,8 +73,7 @@ def postures_at(
     here = np.array(q_now[: chain.n])
     target = Target(T, turned, direction)
     known = [one.q_rad for one in solve(on.robot, target, present=here, limits=limits).solutions] if turned else []
-    others = np.random.default_rng(0).uniform(limits[:, 0], limits[:, 1], (STARTS, chain.n))
-    starts = np.vstack([here, *known, *others])
+    starts = np.vstack([here, *known, *np.random.default_rng(0).uniform(limits[:, 0], limits[:, 1], (STARTS, chain.n))])
     targets = np.broadcast_to(T, (len(starts), 4, 4))
     q = refine_poses(chain, targets, starts, limits, turned=turned, direction=direction)
     away_m, turned_rad = pose_errors(chain, q, targets, direction)

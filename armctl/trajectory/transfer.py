@@ -88,10 +88,9 @@ def motion(cycle: TransferRequest, arm: ArmConfig, robot: Robot) -> Motion:
         RequestRefused: code UNREACHABLE, a place that the paw cannot take within the limits, with the distance.
     """
     rest = np.array([joint.rest_rad for joint in arm.joints[: robot.chain.n]])
-    over = np.array([0.0, 0.0, cycle.height_m])
     best: tuple[float, list[Quintic], list[Quintic]] | None = None
     refused: list[RequestRefused] = []
-    for start in _paw_down(np.array(cycle.pick_m) + over, rest, arm, robot):
+    for start in _paw_down(np.add(cycle.pick_m, (0.0, 0.0, cycle.height_m)), rest, arm, robot):
         try:
             pick, place = (_lift(np.array(at), start, cycle, arm, robot) for at in (cycle.pick_m, cycle.place_m))
         except RequestRefused as reason:
@@ -149,10 +148,9 @@ def _lift(
     top = station_m + np.array([0.0, 0.0, cycle.height_m])
     ends: list[tuple[FloatArray, FloatArray, FloatArray]] = []
     for tau in np.linspace(0.0, 1.0, LIFT_PIECES + 1).tolist():
-        fallen = tau**3 * (tau * (6.0 * tau - 15.0) + 10.0)
         speed = 30.0 * tau**2 * (1.0 - tau) ** 2 / cycle.lift_s
         change = 60.0 * tau * (1.0 - tau) * (1.0 - 2.0 * tau) / cycle.lift_s**2
-        place = top + fallen * (station_m - top)
+        place = top + tau**3 * (tau * (6.0 * tau - 15.0) + 10.0) * (station_m - top)
         there = _paw_down(place, near, arm, robot)[0]
         if tau > 0.0 and np.abs(there - near).max() > JUMP_RAD:
             x, y, z = place.tolist()
@@ -162,8 +160,7 @@ def _lift(
         down = np.array([0.0, 0.0, -cycle.height_m, 0.0, 0.0, 0.0])
         J = jacobian(robot.chain, near)
         q_rate = joint_rates(J, speed * down)
-        q_rate2 = joint_rates(J, change * down - jacobian_rate(robot.chain, near, q_rate) @ q_rate)
-        ends.append((near, q_rate, q_rate2))
+        ends.append((near, q_rate, joint_rates(J, change * down - jacobian_rate(robot.chain, near, q_rate) @ q_rate)))
     return [quintic(q0, q1, duration_s, v0=v0, v1=v1, a0=a0, a1=a1) for (q0, v0, a0), (q1, v1, a1) in pairwise(ends)]
 
 
