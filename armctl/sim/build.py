@@ -96,8 +96,7 @@ def _make_its_own(joint: Joint, draws: Draws) -> None:
     joint.stiction_Nm *= draws.share("stiction", spec.stiction_spread)
     joint.load_friction = draws.within("load", *spec.load_friction)
     joint.dead_steps = round(draws.within("dead time", *spec.dead_time_s) / STEP_S)
-    speed_rad_s = spec.no_load_speed_rad_s * draws.share("speed", spec.no_load_spread)
-    joint.spec = replace(spec, no_load_speed_rad_s=speed_rad_s)
+    joint.spec = replace(spec, no_load_speed_rad_s=spec.no_load_speed_rad_s * draws.share("speed", spec.no_load_spread))
     servo.slope_share = draws.within("slope", *spec.slope_share)
     servo.noise_tick *= draws.share("noise", spec.noise_spread)
 

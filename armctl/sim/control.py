@@ -31,10 +31,12 @@ import socket
 from bisect import bisect_left, bisect_right
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import asdict
 from itertools import islice
 from operator import itemgetter
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol, Self
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -226,7 +228,7 @@ def _point(params: Params, key: str) -> FloatArray:
     return np.array([_number(x, key) for x in value], dtype=np.float64)
 
 
-class SimulatorClient:
+class SimulatorClient(AbstractContextManager["SimulatorClient"]):
     """A synchronous client of a simulator's control socket."""
 
     def __init__(self, path: Path | str) -> None:
@@ -245,9 +247,6 @@ class SimulatorClient:
             problem = f"no simulator listens here ({error.strerror or error})"
             raise PortMissing(f"{path}: {problem}; start one with `armctl sim --link`") from None
         self._stream = self._socket.makefile("rb")
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()

@@ -47,8 +47,7 @@ def hand_torque(behind_rad: float, slower_rad_s: float) -> float:
     """Torque of the hand [N m] on a joint that is so far behind its aim and so much slower; 0 without an aim, nan."""
     if math.isnan(behind_rad):
         return 0.0
-    torque = STIFFNESS_NM_RAD * behind_rad + DAMPING_NM_S * slower_rad_s
-    return min(max(torque, -MAX_TORQUE_NM), MAX_TORQUE_NM)
+    return min(max(STIFFNESS_NM_RAD * behind_rad + DAMPING_NM_S * slower_rad_s, -MAX_TORQUE_NM), MAX_TORQUE_NM)
 
 
 class Guided(NamedTuple):
@@ -125,7 +124,6 @@ class Hand:
         rng = np.random.default_rng(seed)
         line = (np.asarray(from_m, dtype=np.float64), np.asarray(to_m, dtype=np.float64))
         peak = rng.uniform(*WOBBLE_M, size=3)
-        share = np.array([0.5, 0.3, 0.2])[:, None]
         guess = self._posture + POSTURE_RAD * rng.standard_normal(self._chain.n)
         line_s = float(rng.uniform(*DURATION_S)) if duration_s is None else duration_s
         take = _Take(
@@ -133,7 +131,7 @@ class Hand:
             start_s=self._now_s(),
             from_rad=self._held_rad(),
             line_m=line,
-            amplitude_m=share * peak,
+            amplitude_m=np.array([0.5, 0.3, 0.2])[:, None] * peak,
             phase_rad=rng.uniform(0.0, 2.0 * math.pi, size=(len(WOBBLE_CYCLES), 3)),
             pace=rng.uniform(-0.3, 0.3, size=2),
         )
@@ -187,8 +185,7 @@ class Hand:
         others = take.from_rad[len(take.knots_rad[0]) :]
         ahead_s = 1e-3
         here, there = self._at(take, time_s), self._at(take, time_s + ahead_s)
-        speeds = [(b - a) / ahead_s for a, b in zip(here, there, strict=True)]
-        return here + others, speeds + [0.0] * len(others)
+        return here + others, [(b - a) / ahead_s for a, b in zip(here, there, strict=True)] + [0.0] * len(others)
 
     def _at(self, take: _Take, time_s: float) -> list[float]:
         """Aim of the chain's joints [rad] at a time within the take."""

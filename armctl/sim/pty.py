@@ -139,14 +139,13 @@ def run(
     terminal = PseudoTerminal(link)
     ring = TruthRing()
     world = Lockstep(simulated, bus, ring) if lockstep else RealTime(simulated, bus, ring)
-    controls = Controls(simulated, ring, terminal, world.now_ns)
     ask_for_real_time()
     stop: list[int] = []
     with contextlib.ExitStack() as cleanup:
         for number in (signal.SIGTERM, signal.SIGINT):
             cleanup.callback(signal.signal, number, signal.signal(number, lambda signum, _frame: stop.append(signum)))
         # The socket first: it tells whether the link belongs to a living simulator.
-        server = ControlServer(control_path(link), controls.answer)
+        server = ControlServer(control_path(link), Controls(simulated, ring, terminal, world.now_ns).answer)
         cleanup.callback(server.close)
         terminal.replug()
         cleanup.callback(terminal.unplug)
