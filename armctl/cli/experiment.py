@@ -78,5 +78,4 @@ def show(output: Output, result: dict[str, Any]) -> None:
         )
     if result["report"] is not None:
         output.say(f"Drawn in {result['report']}")
-    unseen = max(one["zero_offset_mm"] for one in result["unseen"].values())
-    output.say(below("experiment", {"unseen": unseen}))
+    output.say(below("experiment", {"unseen": max(one["zero_offset_mm"] for one in result["unseen"].values())}))

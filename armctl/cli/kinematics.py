@@ -229,8 +229,7 @@ def _target(
     if xyz is not None:
         return point_target(xyz)
     if pose is not None:
-        rpy = map(math.radians, pose[3:]) if deg else pose[3:]
-        return pose_target(pose_from_xyz_rpy(*pose[:3], *rpy))
+        return pose_target(pose_from_xyz_rpy(*pose[:3], *(map(math.radians, pose[3:]) if deg else pose[3:])))
     assert matrix is not None
     return pose_target(np.array(matrix).reshape(4, 4))
 

@@ -271,5 +271,4 @@ def web_token_revoke(output: Output, name: str) -> None:
     """
     from armctl.web.tokens import revoke
 
-    person = revoke(tokens_path(output.config_file), name)
-    output.answer({"tokens": [person.listed()]}, f"{name} has no token any more")
+    output.answer({"tokens": [revoke(tokens_path(output.config_file), name).listed()]}, f"{name} has no token any more")

@@ -95,8 +95,7 @@ def program_run(output: Output, file: Path, from_step: str | None) -> int:
     Example: armctl program run wave.yaml --from 1
     """
     again = f"`armctl program run {file}` goes on with that step"
-    request = {"from_step": from_step, **_read(file)}
-    result = output.carry_out("running", "program_run", request, kept=f"; {again}")
+    result = output.carry_out("running", "program_run", {"from_step": from_step, **_read(file)}, kept=f"; {again}")
     words, ended = f"{result['recording']}: {len(result['steps'])} steps done", result["ended"]
     if ended:
         words = f"ended at step {result['stands_at']}: {ended['code']}: {ended['text']}; {again}"

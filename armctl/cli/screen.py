@@ -54,8 +54,7 @@ class Screen:
 
     def styled(self, text: str, **style: Any) -> str:
         """The text as `click.style` makes it, where there are colours and nobody wants none (`NO_COLOR`)."""
-        plain = not self.is_terminal or "NO_COLOR" in os.environ
-        return text if plain or not text else click.style(text, **style)
+        return click.style(text, **style) if text and self.is_terminal and "NO_COLOR" not in os.environ else text
 
     def wrapped(self, text: str, **style: Any) -> list[str]:
         """Its lines, each within the width."""

@@ -185,8 +185,7 @@ def scan_command(output: Output, baud: str | None) -> int:
             )
     rows = [{"id" if key == "servo_id" else key: value for key, value in servo._asdict().items()} for servo in found]
     remedy = "check supply and cable" if every else "try --baud all, and check supply and cable"
-    shown = partial(show_servos, output, found)
-    output.answer({"servos": rows}, shown if found else f"no servo answers; {remedy}")
+    output.answer({"servos": rows}, partial(show_servos, output, found) if found else f"no servo answers; {remedy}")
     return 0 if found else 1
 
 
@@ -313,8 +312,7 @@ def _refuse_moving(commands: Iterable[Sequence[str]]) -> None:
         found = re.fullmatch(r"armctl(?:@(.+))?[.]service", words[-1])
         if words[1] != "restart" or found is None:
             continue
-        socket = served_socket(found[1] or "armctl")
-        with contextlib.suppress(NoDaemon), Client(socket, timeout_s=2.0) as client:
+        with contextlib.suppress(NoDaemon), Client(served_socket(found[1] or "armctl"), timeout_s=2.0) as client:
             if (state := client.call("status")["state"]) not in AT_REST:
                 what = f"{words[-1]} has to be restarted, and its arm is {state}; nothing was changed"
                 raise RequestRefused("MOVING", f"{what}; wait, or type `armctl stop`, then install again")

@@ -185,6 +185,5 @@ class Tool:
             P, A, B = np.array([place, *self._line])
             share = min(max(float(progress_along_line(P, A, B)), 0.0), 1.0)
             low, high = self._covered = min(self._covered[0], share), max(self._covered[1], share)
-            off_mm = 1000.0 * float(distance_to_line(P, A, B))
-            told += f"  off the line {off_mm:.0f} mm  covered {high - low:.0%}"
+            told += f"  off the line {1000.0 * float(distance_to_line(P, A, B)):.0f} mm  covered {high - low:.0%}"
         return told
