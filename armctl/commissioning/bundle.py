@@ -74,9 +74,8 @@ def _texts(config: Config, config_file: str) -> Iterator[tuple[str, Callable[[],
 
 def versions() -> str:
     """armctl, Python, the system, and every package armctl may use."""
-    wanted = {re.split(r"[^\w.-]", line, maxsplit=1)[0] for line in metadata.requires("armctl") or ()}
     installed = {}
-    for name in sorted(wanted):
+    for name in sorted({re.split(r"[^\w.-]", line, maxsplit=1)[0] for line in metadata.requires("armctl") or ()}):
         with suppress(metadata.PackageNotFoundError):
             installed[name] = metadata.version(name)
     facts = {"armctl": __version__, "python": sys.version, "system": platform.platform(), "packages": installed}

@@ -102,8 +102,7 @@ def save(bus: ServoBus, servo_ids: Iterable[int], path: Path) -> Snapshot:
     """
     snapshot = Snapshot.model_construct(servos=tuple(read_eeprom(bus, servo_id) for servo_id in servo_ids))
     data = snapshot.model_dump(mode="json")
-    text = json.dumps(data, indent=1) if path.suffix == ".json" else yaml.safe_dump(data, sort_keys=False)
-    write_new(path, text)
+    write_new(path, json.dumps(data, indent=1) if path.suffix == ".json" else yaml.safe_dump(data, sort_keys=False))
     return snapshot
 
 

@@ -60,9 +60,8 @@ class File(NamedTuple):
     keep: bool = False
 
     def __str__(self) -> str:
-        if self.text is None:
-            return f"remove /{self.path}"
-        return f"write /{self.path}" + (" unless it is there" if self.keep else "")
+        kept = " unless it is there" if self.keep else ""
+        return f"remove /{self.path}" if self.text is None else f"write /{self.path}{kept}"
 
     def due(self, root: Path) -> bool:
         target = root / self.path

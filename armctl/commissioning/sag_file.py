@@ -177,8 +177,7 @@ def load_history(config: Config, arm: ArmConfig, joints: int) -> History:
         _log.warning("%s: not read, begun anew: %s", path, error)
         return none
     fits = all(len(motion) == joints and {len(row) for row in motion} == {width} for motion in found.motions)
-    ours = (found.arm_id, found.calibration_hash) == (arm.arm_id, arm.calibration_hash)
-    return found if ours and fits else none
+    return found if (found.arm_id, found.calibration_hash) == (arm.arm_id, arm.calibration_hash) and fits else none
 
 
 def save_history(config: Config, history: History) -> None:
