@@ -135,8 +135,7 @@ def make_room(guests: Collection[G], uid: int) -> G | None:
 def unpaid(size: int) -> RequestRefused:
     cost = f"it costs as much as {size // TOKEN_BYTES} short ones"
     rates = f"{RATE:g} of these a second, and its user {USER_LONG_RATE * TOKEN_BYTES:.0f} bytes of long lines"
-    text = f"a line of {size} bytes is not read: {cost}; a connection has {rates}; wait"
-    return RequestRefused("RATE_LIMIT", text)
+    return RequestRefused("RATE_LIMIT", f"a line of {size} bytes is not read: {cost}; a connection has {rates}; wait")
 
 
 def displaced(victim: str, newcomer: str) -> RequestRefused:

@@ -178,8 +178,7 @@ async def _parts(
     host = Host(arm, robot, config.period_s, recorder, outside.clock, learner.load, learner.learn)
     methods = Methods(host, folders[1], partial(run_job, optimize_task))
     commands = partial(may_command, commanders=config.commanders)
-    server = Server(methods.table(), outside.clock, methods.client_gone, commands, host.leases.held_by)
-    return host, server, recorder
+    return host, Server(methods.table(), outside.clock, methods.client_gone, commands, host.leases.held_by), recorder
 
 
 async def supervise(
@@ -248,8 +247,7 @@ async def _until_gone(control: ControlHandle, host: Host, tick: TakesTick, pulse
 
 def restart_wait_s(deaths_ns: deque[int]) -> float:
     """How long to wait before the next start, by the times of the latest deaths [ns], oldest first."""
-    often = len(deaths_ns) > MAX_DEATHS and deaths_ns[-1] - deaths_ns[0] < DEATHS_WINDOW_NS
-    return PATIENT_WAIT_S if often else 0.0
+    return PATIENT_WAIT_S if len(deaths_ns) > MAX_DEATHS and deaths_ns[-1] - deaths_ns[0] < DEATHS_WINDOW_NS else 0.0
 
 
 @contextlib.contextmanager

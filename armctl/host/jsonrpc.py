@@ -180,10 +180,9 @@ _CODES: dict[type[ArmctlError], str] = {
 
 def error_data(error: ArmctlError) -> dict[str, Any]:
     """An error as plain data: what a person or a script needs, and what a client needs to raise it again."""
-    code = error.code if isinstance(error, BusError | RequestRefused) else _CODES.get(type(error), "FAILED")
     reasons = error.reasons if isinstance(error, RequestRefused) else (str(error),)
     return {
-        "code": code,
+        "code": error.code if isinstance(error, BusError | RequestRefused) else _CODES.get(type(error), "FAILED"),
         "reasons": list(reasons),
         "exit_status": error.exit_status,
         "type": type(error).__name__,

@@ -125,9 +125,8 @@ async def transfer(host: Host, client: Client, request: TransferRequest) -> dict
         RequestRefused: UNREACHABLE, pre-flight (every reason), BUSY, stopped or failed on the way.
         LogError: the recording cannot be made.
     """
-    note = {"event": NOTED, "cycle": request.model_dump()}
     legs: list[Leg] = [lambda q_now: transfer_trajectory(request, q_now, host)]
-    name, [done] = await host.execute(client, "transfer", legs, note)
+    name, [done] = await host.execute(client, "transfer", legs, {"event": NOTED, "cycle": request.model_dump()})
     cycle_s = done.trajectory.end_s - done.trajectory.begin_s
     return {"recording": name, **move_result(done, host.robot), "cycle_s": cycle_s}
 
@@ -188,9 +187,8 @@ def move_result(done: Done, robot: Robot) -> dict[str, Any]:
 
 def line_result(plan: Plan, done: Done, robot: Robot) -> dict[str, Any]:
     """The executed path against the plan's line (Raharjo et al. eqs. 19, 20); raises as `followed`."""
-    line = ReferencePath.line(np.array(plan.from_m), np.array(plan.to_m))
     predicted = plan.model_dump(include={"predicted_mean_error_mm", "predicted_max_error_mm"})
-    return {**followed([done], line, robot), **predicted}
+    return followed([done], ReferencePath.line(np.array(plan.from_m), np.array(plan.to_m)), robot) | predicted
 
 
 def followed(

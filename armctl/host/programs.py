@@ -245,8 +245,7 @@ class _Job:
                     index = await self._step(index, self.instructions[index])
             except ArmctlError as error:
                 ended = {"code": error_data(error)["code"], "text": str(error)}
-            stands_at = ended and self.instructions[index].at
-            result = {"resumed_at": resumed_at, "ended": ended, "stands_at": stands_at}
+            result = {"resumed_at": resumed_at, "ended": ended, "stands_at": ended and self.instructions[index].at}
             host.note({"event": "PROGRAM_END", "name": program.name, **result})
         return {"recording": recording, "steps": self.rows, **result}
 

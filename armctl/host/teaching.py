@@ -33,8 +33,7 @@ async def take_begin(host: Host, client: Client, name: str) -> dict[str, Any]:
     host.leases.teaching(client)
     if host.takes.name is not None:
         raise IllegalTransition(f"take {host.takes.name} is being recorded; take_end comes first")
-    path = await host.takes.begin(name)
-    return {"recording": name, "path": str(path)}
+    return {"recording": name, "path": str(await host.takes.begin(name))}
 
 
 async def take_mark(host: Host, client: Client) -> dict[str, Any]:
@@ -55,8 +54,7 @@ async def take_mark(host: Host, client: Client) -> dict[str, Any]:
 async def take_end(host: Host, client: Client) -> dict[str, Any]:
     """Finish the take."""
     name = _taking(host, client)
-    path = await host.takes.end()
-    return {"recording": name, "path": str(path)}
+    return {"recording": name, "path": str(await host.takes.end())}
 
 
 async def end(host: Host, client: Client) -> dict[str, Any]:

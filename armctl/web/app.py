@@ -110,8 +110,7 @@ async def _refused(_: Request, error: ArmctlError) -> Response:
 
 
 async def _invalid(_: Request, error: RequestValidationError) -> Response:
-    reasons = [f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}" for fault in error.errors()]
-    return _error(422, "INVALID", reasons)
+    return _error(422, "INVALID", [f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}" for fault in error.errors()])
 
 
 async def _not_served(request: Request, error: HTTPException) -> Response:

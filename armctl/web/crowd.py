@@ -90,7 +90,7 @@ class Connection(H11Protocol):
         if self.flow.write_paused:
             return "answer"
         if self.cycle is None or self.cycle.response_complete:
-            return "request" if (self.cycle is None or bool(self.conn.trailing_data[0])) else "nothing"
+            return "request" if self.cycle is None or bool(self.conn.trailing_data[0]) else "nothing"
         return "request" if self.cycle.more_body else "served"
 
     def _send_away(self, status: int, code: str, reason: str) -> None:

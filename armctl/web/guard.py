@@ -158,5 +158,4 @@ async def _refuse(scope: Scope, receive: Receive, send: Send, refused: Refused) 
         return
     error = {"code": refused.code, "message": refused.reason, "reasons": [refused.reason]}
     body = json.dumps({"error": error}).encode()
-    answer = Response(body, refused.status, {**HEADERS, "connection": "close"}, "application/json")
-    await answer(scope, receive, send)
+    await Response(body, refused.status, {**HEADERS, "connection": "close"}, "application/json")(scope, receive, send)
