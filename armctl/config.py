@@ -288,8 +288,7 @@ class ArmConfig(Frozen):
     @cached_property
     def rigid_pairs(self) -> tuple[tuple[int, int], ...]:
         """Those of `pairs` that turn one shaft; each servo of a gripper has a finger of its own."""
-        grips = self.gripper and self.gripper.joint
-        return tuple(pair for pair in self.pairs if self.joints[pair[0]].name != grips)
+        return tuple(pair for pair in self.pairs if self.joints[pair[0]].name != (self.gripper and self.gripper.joint))
 
     @cached_property
     def joint_names(self) -> tuple[str, ...]:

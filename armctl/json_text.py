@@ -19,9 +19,8 @@ def _adapter(kind: Any) -> TypeAdapter[Any]:
 
 def _plain(value: object) -> object:
     if is_dataclass(value):  # not `asdict`, which copies every number of a trajectory
-        told = fields(value)
         # What only some arms have is not told of others: logs of old arms stay as they are.
-        return {it.name: v for it in told if (v := getattr(value, it.name)) != it.default or not it.metadata}
+        return {it.name: v for it in fields(value) if (v := getattr(value, it.name)) != it.default or not it.metadata}
     if isinstance(value, bytes):
         return value.hex()
     raise TypeError(f"no JSON form for {type(value).__name__}")
