@@ -136,9 +136,9 @@ def _along_line(
             other = f"ask for the line it leads along, from {point_text(tool[0])} to {point_text(tool[-1])}"
             raise ValueError(f"on its way from A to B it {found}; record from A to B, or {other}")
 
-    way = slice(at_A, at_B + 1)
-    q, p = q[way], p[way]
-    kept = (p > np.maximum.accumulate(np.concatenate([[0.0], p]))[:-1]) & (p < 1.0)
+    q, p = q[at_A : at_B + 1], p[at_A : at_B + 1]
+    furthest = np.maximum.accumulate(np.concatenate([[0.0], p]))[:-1]
+    kept = (p > furthest) & (p < 1.0)
     ends = [q[0].copy(), q[-1].copy()]
     for end, target in zip(ends, (A, B), strict=True):
         end[: chain.n] = solve_position(chain, target, end[: chain.n], limits[: chain.n])

@@ -35,10 +35,9 @@ def build(arm: ArmConfig, spec: ArmSpec, seed: int) -> tuple[SerialChain, list[J
     }
     chain = robot.with_lengths(lengths_m).chain
     tool_kg = float(rng.uniform(*spec.tool_kg))
-    servo_rngs = rng.spawn(len(arm.joints))
     joints = [
         _joint(config, _of_model(spec, MODELS[config.model]), rng, own_rng)
-        for config, own_rng in zip(arm.joints, servo_rngs, strict=True)
+        for config, own_rng in zip(arm.joints, rng.spawn(len(arm.joints)), strict=True)
     ]
     draws = Draws(spec.geometry, seed)
     if spec.geometry != PERFECT:
@@ -81,13 +80,11 @@ def _become(joint: Joint, twin: TwinJoint, config: JointConfig) -> None:
     }
     now = drawn | twin.model_dump(exclude_none=True)
     joint.coulomb_Nm, joint.stiction_Nm = now["coulomb_Nm"], now["coulomb_Nm"] * now["stiction_ratio"]
-    joint.stall_Nm, joint.load_friction, servo.noise_tick = (
-        now[k] for k in ("stall_Nm", "load_friction", "noise_tick")
-    )
+    joint.stall_Nm, joint.load_friction = now["stall_Nm"], now["load_friction"]
     joint.half_play_rad, joint.dead_steps = math.radians(now["play_deg"]) / 2.0, round(1e-3 * now["delay_ms"] / STEP_S)
     joint.spec = replace(joint.spec, no_load_speed_rad_s=now["no_load_rad_s"])
     joint.zero_rad -= joint.direction * math.radians(twin.zero_deg or 0.0)
-    servo.slope_share = now["slope_tick"] / slope_tick
+    servo.noise_tick, servo.slope_share = now["noise_tick"], now["slope_tick"] / slope_tick
 
 
 def _make_its_own(joint: Joint, draws: Draws) -> None:
