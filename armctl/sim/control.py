@@ -32,7 +32,6 @@ from bisect import bisect_left, bisect_right
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import asdict
 from itertools import islice
 from operator import itemgetter
 from pathlib import Path
