@@ -5,11 +5,11 @@ The points are touched with a limp arm, without the daemon; `--holding` and `--s
 
 from __future__ import annotations
 
-import time
 from contextlib import ExitStack
 from dataclasses import asdict
 from datetime import date, datetime
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,8 +30,8 @@ if TYPE_CHECKING:
 
 # How high above a point the arm is moved before it is led, and how fast at first.
 ABOVE_M, LED_M_S = 0.03, 0.01
-# How often it is looked at where it stands, and how far apart.
-LOOKS, LOOK_S = 20, 0.1
+# How many ticks it is looked at where it stands.
+LOOKS = 20
 ASKED = ("armctl calibrate", "or give --readings FILE")
 
 
@@ -45,7 +45,6 @@ def calibrate_command(
     way: str | None,
     zero_at: str | None,
     out: Path | None,
-    holding: bool,
 ) -> None:
     """Find zero ticks and link lengths: touch known points with the limp arm's tool tip.
 
@@ -69,10 +68,10 @@ def calibrate_command(
     from armctl.commissioning import arm_file, calibration, pairs
     from armctl.commissioning import holding as under_torque
 
-    if sum(choice is not None for choice in (points, readings, zero_at, way)) != 1:
-        raise click.UsageError("give one of --points FILE, --readings FILE, --zero-at rest|zero, --sag and --pairs")
-    if holding and not (points or readings):
-        raise click.UsageError("--holding is for --points FILE or --readings FILE")
+    holding = way == "holding"
+    if sum(map(bool, (points, readings, zero_at, way and not holding))) != 1 or (holding and zero_at):
+        kinds = "--points FILE, --readings FILE (either with --holding), --zero-at rest|zero, --sag and --pairs"
+        raise click.UsageError(f"give one of {kinds}")
     if way == "sag":
         _calibrate_sag(output)
         return
@@ -83,7 +82,7 @@ def calibrate_command(
         raise RequestRefused("FILE_EXISTS", f"{taken[0]}: exists and is not overwritten; choose another name")
     fit: Fit | None = None
     held: Held | None = None
-    if way is not None:
+    if way == "pairs":
         after = pairs.measured(before, partial(opened, output), AtTerminal(output, *ASKED))
         remark = "what the two servos of a joint read at the same places"
     elif zero_at is not None:
@@ -114,9 +113,8 @@ def calibrate_command(
     result: dict[str, Any] = {"path": str(path), "changes": _changes(before, after)}
     if fit is not None:
         result |= asdict(fit) | {"residuals_mm": fit.residuals_mm.tolist(), "complete": fit.complete}
-        del result["arm"]
-    if held is not None:
-        result |= {key: value for key, value in held._asdict().items() if key != "arm"}
+    result |= held._asdict() if held is not None else {}
+    result.pop("arm", None)
     if output.result(result):
         return
     if fit is not None:
@@ -179,11 +177,8 @@ def _led(
     except RequestRefused as refusal:
         output.say(f"not led above it: {refusal}")
     by_keys(output, client.call, LED_M_S)
-    seen = []
-    for _ in range(LOOKS):
-        seen.append(client.call("status")["joints"])
-        time.sleep(LOOK_S)
-    return standing_ticks(arm, seen)
+    with output.client() as watcher:
+        return standing_ticks(arm, [snapshot["joints"] for snapshot in islice(watcher.subscribe(), LOOKS)])
 
 
 def _calibrate_sag(output: Output) -> None:

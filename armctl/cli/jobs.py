@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -102,12 +102,7 @@ def recordings_delete(output: Output, name: str) -> None:
 
 @command("optimize", SOCKET, CONFIG)
 def optimize_command(
-    output: Output,
-    recordings: tuple[str, ...],
-    via: int,
-    profile: Literal["default", "paper"],
-    out: Path | None,
-    **line: Any,
+    output: Output, recordings: tuple[str, ...], via: int, profile: str, out: Path | None, **line: Any
 ) -> None:
     """Straighten RECORDINGS (names, or files) by a genetic algorithm and choose the intermediate points.
 

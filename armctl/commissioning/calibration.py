@@ -181,6 +181,11 @@ def read_ticks(bus: ServoBus, joints: Sequence[ServoJoint], clock: Clock) -> tup
         clock.sleep_until_ns(due_ns)
         due_ns += READING_PERIOD_NS
         row[:] = limp_ticks(bus, joints)
+    return mean_ticks(joints, ticks)
+
+
+def mean_ticks(joints: Sequence[ServoJoint], ticks: FloatArray) -> tuple[float, ...]:
+    """The mean of readings, shape (m, joints), of an arm that stood still; RequestRefused (MOVED): it did not."""
     spread = np.ptp(ticks, axis=0)
     if spread.max() > MAX_SPREAD_TICK:
         moved = joints[int(spread.argmax())].name

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from armctl.commissioning.calibration import MAX_RMS_MM, MAX_SPREAD_TICK, Touch, check_points, recalibrated
+from armctl.commissioning.calibration import MAX_RMS_MM, Touch, check_points, mean_ticks, recalibrated
 from armctl.config import ArmConfig, JointConfig, validate
 from armctl.dynamixel.ax12a import TICK_RAD
 from armctl.errors import RequestRefused
@@ -31,7 +31,7 @@ from armctl.kinematics.transform import FloatArray, rpy_from_matrix
 SD_RAD, SD_M = np.radians(1.0), 1e-3
 # Of a coordinate of a touch, with what the model cannot express [m].
 TOUCH_M = 0.7e-3
-STEP, ENOUGH, ITERATIONS = 1e-6, 1e-9, 10
+STEP, ITERATIONS = 1e-6, 5
 
 
 class Held(NamedTuple):
@@ -56,12 +56,8 @@ def standing_ticks(arm: ArmConfig, seen: Sequence[Sequence[dict[str, Any]]]) -> 
         raise RequestRefused(
             "LIMP", "torque is off; type `armctl torque on` in another terminal, and lead the arm anew"
         )
-    ticks = np.array([[j.tick(told["position_rad"]) for j, told in zip(arm.joints, one, strict=True)] for one in seen])
-    spread = np.ptp(ticks, axis=0)
-    if spread.max() > MAX_SPREAD_TICK:
-        moved = arm.joint_names[int(spread.argmax())]
-        raise RequestRefused("MOVED", f"{moved} moved by {spread.max():.0f} ticks; wait until the arm stands")
-    return tuple(ticks.mean(axis=0).round(3).tolist())
+    ticks = [[joint.tick(told["position_rad"]) for joint, told in zip(arm.joints, one, strict=True)] for one in seen]
+    return mean_ticks(arm.joints, np.array(ticks))
 
 
 def fit(arm: ArmConfig, touches: Sequence[Touch]) -> Held:
@@ -75,7 +71,7 @@ def fit(arm: ArmConfig, touches: Sequence[Touch]) -> Held:
     chain = robots.of(arm).chain
     n, joints = chain.n, arm.joints[: chain.n]
     points = np.array([touch.point_m for touch in touches])
-    ticks = [touch.ticks[:n] for touch in touches]
+    ticks = (touch.ticks[:n] for touch in touches)
     q = np.array([[joint.position_rad(tick) for joint, tick in zip(joints, row, strict=True)] for row in ticks])
     x, sd = _solved(chain, q, points, np.zeros(len(_sd(chain))))
     before, after = (_off_mm(chain, q, points, changes) for changes in (np.zeros(len(x)), x))
@@ -111,8 +107,8 @@ def table_of(chain: SerialChain) -> dict[str, Any]:
     if chain.has_tool:
         *_, last, tool = link_frames(chain, np.zeros(chain.n))
         T = np.linalg.inv(last) @ tool
-        table["tool_m"] = T[:3, 3].round(7).tolist()
-        table["tool_rpy_deg"] = np.degrees(rpy_from_matrix(T[:3, :3])).round(7).tolist()
+        rpy_deg = np.degrees(rpy_from_matrix(T[:3, :3]))
+        table |= {"tool_m": T[:3, 3].round(7).tolist(), "tool_rpy_deg": rpy_deg.round(7).tolist()}
     return table
 
 
@@ -160,8 +156,5 @@ def _solved(chain: SerialChain, q: FloatArray, points: FloatArray, x: FloatArray
         r = _missed(chain, q, points, x).ravel()
         J = np.stack([(_missed(chain, q, points, x + step).ravel() - r) / STEP for step in steps], axis=1)
         A = np.concatenate([J / TOUCH_M, np.diag(1.0 / sd)])
-        change = np.linalg.lstsq(A, np.concatenate([r / TOUCH_M, x / sd]), rcond=None)[0]
-        x = x - change
-        if np.abs(change).max() < ENOUGH:
-            break
+        x = x - np.linalg.lstsq(A, np.concatenate([r / TOUCH_M, x / sd]), rcond=None)[0]
     return x, np.sqrt(np.diag(np.linalg.inv(A.T @ A)))

@@ -137,8 +137,7 @@ def _along_line(
             raise ValueError(f"on its way from A to B it {found}; record from A to B, or {other}")
 
     q, p = q[at_A : at_B + 1], p[at_A : at_B + 1]
-    furthest = np.maximum.accumulate(np.concatenate([[0.0], p]))[:-1]
-    kept = (p > furthest) & (p < 1.0)
+    kept = (p > np.maximum.accumulate(np.concatenate([[0.0], p]))[:-1]) & (p < 1.0)
     ends = [q[0].copy(), q[-1].copy()]
     for end, target in zip(ends, (A, B), strict=True):
         end[: chain.n] = solve_position(chain, target, end[: chain.n], limits[: chain.n])

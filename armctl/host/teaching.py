@@ -53,8 +53,7 @@ async def take_mark(host: Host, client: Client) -> dict[str, Any]:
 
 async def take_end(host: Host, client: Client) -> dict[str, Any]:
     """Finish the take."""
-    name = _taking(host, client)
-    return {"recording": name, "path": str(await host.takes.end())}
+    return {"recording": _taking(host, client), "path": str(await host.takes.end())}
 
 
 async def end(host: Host, client: Client) -> dict[str, Any]:

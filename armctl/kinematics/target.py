@@ -1,7 +1,7 @@
 """What inverse kinematics is asked for: a pose, a point, or a point and where the tool points there."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,8 +12,7 @@ from armctl.kinematics.transform import FloatArray
 ROTATION_SLACK = 1e-4
 
 
-@dataclass(frozen=True)
-class Target:
+class Target(NamedTuple):
     """Where the tool shall be: a pose, a point, or a point and where the tool points there."""
 
     # Shape (4, 4); of a point, with or without a direction, the rotation is left out.
@@ -52,7 +51,7 @@ def direction_target(xyz: tuple[float, float, float] | FloatArray, direction: Se
     if along.shape != (3,) or not np.isfinite(along).all() or float(np.linalg.norm(along)) < 1e-9:
         text = f"{along.tolist()} is no direction"
         raise ConfigError("target", "direction", text, "give x,y,z in the base frame, such as 0,0,-1 for down")
-    return replace(point_target(xyz), turned=True, direction=along / np.linalg.norm(along))
+    return point_target(xyz)._replace(turned=True, direction=along / np.linalg.norm(along))
 
 
 def pose_target(T: FloatArray) -> Target:

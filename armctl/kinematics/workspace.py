@@ -90,8 +90,7 @@ def _furthest(chain: SerialChain, limits: FloatArray, direction: FloatArray, rng
             # Turned by t from here the coordinate is a constant + B cos t + C sin t.
             lever = tool - origin
             across = lever - z * (z * lever).sum(axis=0)
-            B = direction @ across
-            peak = q[:, i] + np.arctan2(direction @ cross(z, across), B)
+            peak = q[:, i] + np.arctan2(direction @ cross(z, across), direction @ across)
             if high[i] - low[i] < TURN_RAD:
                 middle = (low[i] + high[i]) / 2.0
                 # The peak's place nearest to the middle of the range; outside it the nearer end is the best.

@@ -13,7 +13,7 @@ import struct
 import time
 import zlib
 from collections.abc import Callable, Hashable, Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import partial
 from itertools import chain, repeat
 from operator import attrgetter
@@ -50,8 +50,7 @@ _JOINT = struct.Struct(f"<{len(JointState.__slots__)}d")
 Message = tuple[str, Value]
 
 
-@dataclass(frozen=True)
-class Topic:
+class Topic(NamedTuple):
     """One channel of a log."""
 
     name: str

@@ -128,12 +128,9 @@ def _joint(config: JointConfig, spec: ArmSpec, rng: np.random.Generator, servo_r
     zero_rad = (config.zero_tick + zero_offset_tick) * ax12a.TICK_RAD
     rest_rad = zero_rad + config.direction * config.rest_rad
     # The calibration's id and angle limits; the rest of the EEPROM is the factory's.
+    rest_tick = rest_rad / ax12a.TICK_RAD
     servo = SimulatedServo(
-        config.servo_id,
-        servo_rng,
-        position_tick=rest_rad / ax12a.TICK_RAD,
-        noise_tick=spec.noise_tick,
-        variants=spec.variants,
+        config.servo_id, servo_rng, position_tick=rest_tick, noise_tick=spec.noise_tick, variants=spec.variants
     )
     servo.shaft_rad, servo.voltage_V, servo.temperature_degC = rest_rad, spec.supply_V, spec.idle_degC
     if config.model != DEFAULT:

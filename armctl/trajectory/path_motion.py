@@ -185,18 +185,14 @@ def _progress(slowest_s: FloatArray, duration_s: float) -> tuple[FloatArray, Flo
 
 
 def _motion(
-    way: FloatArray,
-    progress: tuple[FloatArray, FloatArray],
-    lasts_s: float,
-    others: Sequence[float],
-    more: Learnt | None,
+    way: FloatArray, progress: tuple[FloatArray, FloatArray], lasts_s: float, others: Sequence[float], by: Learnt | None
 ) -> Motion:
     """Joint positions [rad], shape (m, joints), by the time since the begin; joints beyond the chain stay."""
     share, place = progress
 
     def positions(time_s: FloatArray) -> FloatArray:
         q = columns_at(np.interp(time_law(time_s / lasts_s), share, place), place, way)
-        q += _shift(more, time_s / lasts_s)
+        q += _shift(by, time_s / lasts_s)
         return np.concatenate([q, np.tile(np.asarray(others, dtype=np.float64), (len(q), 1))], axis=1)
 
     return positions

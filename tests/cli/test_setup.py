@@ -5,7 +5,7 @@ import json
 import shutil
 import sys
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -240,12 +240,15 @@ def test_calibrate_holding_moves_above_each_point_and_is_led_onto_it(
             asked.append((method, params))
             if method == "move" and len(asked) == 1:
                 raise RequestRefused("PREFLIGHT", "not there")
-            return {"joints": [{"torque_enabled": len(led) != 2, "position_rad": 0.1} for _ in arm.joints]}
+            return {}
+
+        def subscribe(self) -> Iterator[dict[str, object]]:
+            while True:
+                yield {"joints": [{"torque_enabled": len(led) != 2, "position_rad": 0.1} for _ in arm.joints]}
 
     led: list[float] = []
     monkeypatch.setattr(client, "Client", Standing)
     monkeypatch.setattr(calibrate, "by_keys", lambda output, call, speed: led.append(speed))
-    monkeypatch.setattr(calibrate, "LOOK_S", 0.0)
     monkeypatch.setattr(sys, "stdin", person(lambda: "\n"))
     (points := arm_file.with_name("points.csv")).write_text("0.15,0,0\n0.2,0,0\n0.2,0.1,0\n")
     saved = arm_file.with_name("kept.yaml")
@@ -258,7 +261,7 @@ def test_calibrate_holding_moves_above_each_point_and_is_led_onto_it(
     assert kept.touches[0].ticks == pytest.approx([joint.tick(0.1) for joint in arm.joints], abs=0.001)
     assert "POOR_FIT" in said.err or "off its points" in said.err
     wrong = typed("calibrate", "--arm", arm_file, "--zero-at", "rest", "--holding", status=2)
-    assert "--holding is for" in wrong.err
+    assert "(either with --holding)" in wrong.err
 
 
 def test_where_the_arms_folder_cannot_be_written_the_file_stays(arm_file: Path, typed: Typed) -> None:

@@ -18,13 +18,7 @@ POSITION_WEIGHT = 100.0
 
 
 def solve(
-    robot: Robot,
-    target: Target,
-    *,
-    method: Method,
-    present: FloatArray | None = None,
-    polish: bool = True,
-    seed: int = 0,
+    robot: Robot, target: Target, method: Method, present: FloatArray | None = None, polish: bool = True, seed: int = 0
 ) -> Answer:
     """The configuration that the algorithm finds, which alone says whether the target is reached.
 
