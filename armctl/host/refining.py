@@ -29,7 +29,7 @@ from armctl.host.watch import Done, Leg
 from armctl.recording.disk import put
 from armctl.trajectory import refinement
 from armctl.trajectory.course import course_of
-from armctl.trajectory.path_motion import PathMotion, path_seen_mm, relearnt
+from armctl.trajectory.path_motion import PathSeen, path_seen, relearnt
 from armctl.trajectory.plan import Plan, plan_to_text
 from armctl.trajectory.refinement import Measured, Refinement, Round, following, seen_mm, waited_long
 from armctl.trajectory.tool_path import PathRequest
@@ -65,6 +65,9 @@ async def refine_path(host: Host, client: Client, request: PathRequest, further:
 class _Runs:
     """What is run under one lease, and what is kept of it."""
 
+    # Of a plan: it counts runs, those that tell nothing too.
+    work: Refinement | None = None
+
     def __init__(self, host: Host, lease: Lease, further: int, folder: Path, what: str) -> None:
         self.host, self.lease = host, lease
         self.runs, self.most = 0, 1 + further
@@ -86,15 +89,13 @@ class _Runs:
             wanted_s = done.trajectory.end_s - done.trajectory.begin_s
             if not waited_long(wanted_s, result["duration_s"], self.host.period_s):
                 return measured(name, done)
-            self.lost()
+            if self.work is not None:
+                self.work.lost()
         raise RequestRefused(
             "DISTURBED",
             f"the run took {result['duration_s']:.2f} s instead of {wanted_s:.2f} s: it was paused, or servos "
             "miss readings and the arm waits for them; see `armctl doctor`",
         )
-
-    def lost(self) -> None:
-        """A run was made that tells nothing."""
 
     def tell(self, row: dict[str, Any]) -> None:
         self.lease.client.notify("progress", {"runs": self.runs, "of": self.most, "round": row})
@@ -125,15 +126,15 @@ class _OfPath(_Runs):
     async def done(self, request: PathRequest) -> dict[str, Any]:
         """Everything; the answer."""
         host, rows = self.host, list[dict[str, Any]]()
-        best: tuple[float, PathRequest, PathMotion, Measured] | None = None
-        ended, unkept = None, 0
+        best: tuple[float, PathRequest, Measured] | None = None
+        seen, ended, unkept = list[PathSeen](), None, 0
         while self.runs < self.most and unkept < refinement.PATIENCE:
             leg, made = path_leg(host, request)
             try:
                 run = await self.run(leg, path_note(request), partial(path_result, made, host.robot))
-                seen_mm = await asyncio.to_thread(path_seen_mm, request, made[-1], run, host)
-                kept = best is None or seen_mm + 2.0**0.5 * refinement.NOISE_MM < best[0]
-                best, unkept = ((seen_mm, request, made[-1], run), 0) if best is None or kept else (best, unkept + 1)
+                seen.append(await asyncio.to_thread(path_seen, request, made[-1], run, host))
+                kept = best is None or seen[-1].off_mm + 2.0**0.5 * refinement.NOISE_MM < best[0]
+                best, unkept = ((seen[-1].off_mm, request, run), 0) if best is None or kept else (best, unkept + 1)
                 self.keep(best[1])
             except (RequestRefused, LogError) as error:
                 if best is None:
@@ -142,15 +143,13 @@ class _OfPath(_Runs):
                 break
             rows.append(self.row(len(rows), kept, [run]))
             self.tell(rows[-1])
-            gain = refinement.GAINS[min(len(rows), len(refinement.GAINS) - 1)] * refinement.LESS**unkept
-            request = await asyncio.to_thread(relearnt, *best[1:], host, gain)
+            gain = refinement.GAINS[0] * refinement.LESS**unkept
+            request = await asyncio.to_thread(relearnt, request, made[-1], seen, host, gain)
         assert best is not None
-        return self.answer(best[3], rows, None if ended and ended.code in refinement.ASTRAY else ended)
+        return self.answer(best[2], rows, None if ended and ended.code in refinement.ASTRAY else ended)
 
 
 class _OfPlan(_Runs):
-    work: Refinement | None = None
-
     async def done(self, plan: Plan, corrected: bool) -> dict[str, Any]:
         """Everything; the answer."""
         self.plan, self.corrected = plan, corrected
@@ -185,10 +184,6 @@ class _OfPlan(_Runs):
         host, corrected = self.host, self.corrected
         leg, note = run_leg(host, plan, corrected=corrected), plan_note(plan, corrected=corrected)
         return await self.run(leg, note, lambda done: line_result(plan, done, host.robot))
-
-    def lost(self) -> None:
-        if self.work is not None:
-            self.work.lost()
 
     def _tell(self, work: Refinement) -> None:
         one = work.rounds[-1]

@@ -205,33 +205,39 @@ def _shift(learnt: Learnt | None, u: FloatArray) -> FloatArray:
     return columns_at(u, np.linspace(0.0, 1.0, len(learnt.shift_rad)), np.array(learnt.shift_rad))
 
 
-def compared(request: PathRequest, motion: PathMotion, run: Measured, on: Driven) -> tuple[FloatArray, FloatArray]:
-    """Where the joints were to be, and how far they were from there [rad], at every tick of the path, shape (m, n)."""
+class PathSeen(NamedTuple):
+    """What a run of a path showed, at every tick of it, shape (m, n)."""
+
+    # Where the joints were to be, and how far they stayed behind their goals, what was learnt included [rad].
+    wanted_rad: FloatArray
+    lag_rad: FloatArray
+    # Root mean square of the smoothed readings' distances from the path.
+    off_mm: float
+
+
+def path_seen(request: PathRequest, motion: PathMotion, run: Measured, on: Driven) -> PathSeen:
+    """What a run of a motion along a path showed."""
     way, n = motion.trajectory, on.robot.chain.n
     lasts_s = way.end_s - way.begin_s
     time_s = np.linspace(0.0, lasts_s, ticks_of(lasts_s, on.period_s))
     due_s = np.arange(len(way.positions_rad)) * np.float64(way.period_s) - way.begin_s
     goals = columns_at(time_s, due_s, np.array(way.positions_rad)[:, :n])
     wanted = goals - _shift(request.learnt, time_s / lasts_s)
-    return wanted, wanted - columns_at(time_s, run.time_s, run.positions_rad[:, :n])
-
-
-def path_seen_mm(request: PathRequest, motion: PathMotion, run: Measured, on: Driven) -> float:
-    """Root mean square of the smoothed readings' distances from the path [mm], of a run of it."""
-    wanted, off = compared(request, motion, run, on)
-    tool_m = tool_position(on.robot.chain, wanted - smoothed(off, on.period_s))
+    lag = goals - columns_at(time_s, run.time_s, run.positions_rad[:, :n])
+    tool_m = tool_position(on.robot.chain, wanted + smoothed(goals - lag - wanted, on.period_s))
     off_m = motion.reference.off_m(tool_m, np.linspace(0.0, 1.0, len(tool_m)))
-    return float(np.sqrt(np.square(off_m).mean())) * 1e3
+    return PathSeen(wanted, lag, float(np.sqrt(np.square(off_m).mean())) * 1e3)
 
 
-def relearnt(request: PathRequest, motion: PathMotion, run: Measured, on: Driven, gain: float) -> PathRequest:
-    """The path with a share of what a run of it was off added to what was learnt before."""
-    wanted, off = compared(request, motion, run, on)
-    lasts_s = motion.trajectory.end_s - motion.trajectory.begin_s
+def relearnt(
+    request: PathRequest, motion: PathMotion, runs: Sequence[PathSeen], on: Driven, gain: float
+) -> PathRequest:
+    """The path with a share of the lag that all its runs showed on the average added to its joints."""
+    lasts_s, wanted = motion.trajectory.end_s - motion.trajectory.begin_s, runs[0].wanted_rad
     u: FloatArray = np.linspace(0.0, 1.0, min(math.ceil(lasts_s / SHIFT_S) + 1, MOST_SHIFTS))
     grown = np.minimum(1.0, lasts_s * np.minimum(u, 1.0 - u) / GROWS_S)[:, None]
-    more = columns_at(u, np.linspace(0.0, 1.0, len(off)), surprise(off, wanted, on.period_s, gain))
-    shift = (_shift(request.learnt, u) + grown * more).round(DECIMALS).tolist()
+    lag = surprise(np.mean([run.lag_rad for run in runs], axis=0), wanted, on.period_s, gain)
+    shift = (grown * columns_at(u, np.linspace(0.0, 1.0, len(lag)), lag)).round(DECIMALS).tolist()
     begin_rad, of = tuple(wanted[0].tolist()), {"arm_id": on.arm.arm_id, "calibration_hash": on.arm.calibration_hash}
     learnt = Learnt(begin_rad=begin_rad, shift_rad=tuple(map(tuple, shift)), **of)
     return request.model_copy(update={"learnt": learnt, "duration_s": lasts_s})
