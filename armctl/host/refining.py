@@ -135,13 +135,13 @@ class _OfPath(_Runs):
                 seen.append(await asyncio.to_thread(path_seen, request, made[-1], run, host))
                 kept = best is None or seen[-1].off_mm + 2.0**0.5 * refinement.NOISE_MM < best[0]
                 best, unkept = ((seen[-1].off_mm, request, run), 0) if best is None or kept else (best, unkept + 1)
+                rows.append(self.row(len(rows), kept, [run]))
                 self.keep(best[1])
             except (RequestRefused, LogError) as error:
                 if best is None:
                     raise
                 ended = error if isinstance(error, RequestRefused) else RequestRefused("LOG", str(error))
                 break
-            rows.append(self.row(len(rows), kept, [run]))
             self.tell(rows[-1])
             gain = refinement.GAINS[0] * refinement.LESS**unkept
             request = await asyncio.to_thread(relearnt, request, made[-1], seen, host, gain)

@@ -234,7 +234,8 @@ def relearnt(
 ) -> PathRequest:
     """The path with a share of the lag that all its runs showed on the average added to its joints."""
     lasts_s, wanted = motion.trajectory.end_s - motion.trajectory.begin_s, runs[0].wanted_rad
-    u: FloatArray = np.linspace(0.0, 1.0, min(math.ceil(lasts_s / SHIFT_S) + 1, MOST_SHIFTS))
+    rows = min(math.ceil(lasts_s / SHIFT_S) + 1, MOST_SHIFTS // wanted.shape[1])
+    u: FloatArray = np.linspace(0.0, 1.0, rows)
     grown = np.minimum(1.0, lasts_s * np.minimum(u, 1.0 - u) / GROWS_S)[:, None]
     lag = surprise(np.mean([run.lag_rad for run in runs], axis=0), wanted, on.period_s, gain)
     shift = (grown * columns_at(u, np.linspace(0.0, 1.0, len(lag)), lag)).round(DECIMALS).tolist()

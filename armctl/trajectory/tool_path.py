@@ -29,8 +29,8 @@ Kind = Literal["line", "through", "arc"]
 
 # As many as fit into one line of the daemon's socket.
 MAX_POINTS = 1000
-# And of what a refinement learnt.
-MOST_SHIFTS = 1000
+# And as many numbers of what a refinement learnt beside them.
+MOST_SHIFTS = 1600
 COLUMNS = ("x_m", "y_m", "z_m")
 # Of a file's coordinates: a hundredth of what the arm can tell.
 DECIMALS = 6

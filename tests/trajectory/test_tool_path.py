@@ -1,5 +1,6 @@
 """Paths of the tool as people give them: lines, arcs, rounded corners, and what is no path."""
 
+import json
 import math
 import re
 from itertools import pairwise
@@ -13,8 +14,9 @@ from hypothesis import strategies as st
 from armctl.cli.help import DOCS
 from armctl.config import validate
 from armctl.errors import ConfigError
+from armctl.host.jsonrpc import MAX_LINE_BYTES
 from armctl.kinematics.transform import FloatArray
-from armctl.trajectory.tool_path import Kind, Outline, PathRequest, path_from_text
+from armctl.trajectory.tool_path import MAX_POINTS, MOST_SHIFTS, Kind, Learnt, Outline, PathRequest, path_from_text
 
 SEEDS = st.integers(0, 2**32 - 1)
 TOLERANCES_MM = st.floats(0.1, 20.0)
@@ -143,6 +145,15 @@ def test_the_examples_are_paths() -> None:
     assert Outline(square).length_m == pytest.approx(0.4)
     assert Outline(circle).length_m == pytest.approx(0.06 * math.pi)
     assert [len(Outline(one).corners) for one in (square, circle)] == [3, 0]
+
+
+def test_the_longest_path_and_all_that_was_learnt_of_it_fit_into_one_line_of_the_socket() -> None:
+    points = tuple((0.123456, round(-0.1 + 1e-4 * k, 6), -0.1 - 1e-4 * (k % 2)) for k in range(MAX_POINTS))
+    rows = ((-0.012345,) * 6,) * (MOST_SHIFTS // 6)
+    learnt = Learnt(arm_id="a" * 64, calibration_hash="b" * 64, begin_rad=(-1.234567890123456,) * 6, shift_rad=rows)
+    kinds: tuple[Kind, ...] = ("line", *("through", "arc") * ((MAX_POINTS - 1) // 2), "line")
+    whole = PathRequest(points_m=points, kinds=kinds[:MAX_POINTS], duration_s=600.0, learnt=learnt)
+    assert len(json.dumps({"id": 1, "method": "path", "params": whole.model_dump()})) < MAX_LINE_BYTES
 
 
 @pytest.mark.parametrize(
