@@ -9,7 +9,7 @@ import pytest
 from playwright.sync_api import Page, Route, expect
 
 from armctl.client import Client
-from tests.web.test_dashboard import Stand, energised, go, pytestmark, state
+from tests.web.test_dashboard import Stand, begin_to_teach, energised, go, pytestmark, state
 from tests.web.test_dashboard import browser as browser
 from tests.web.test_dashboard import page as page
 from tests.web.test_dashboard import stand as stand
@@ -29,7 +29,7 @@ def test_a_take_that_the_hand_did_not_give_is_not_kept(page: Page, stand: Stand,
 
     before = taught(stand)
     page.click("nav [data-view=guide]")
-    page.click("#teach-begin")
+    begin_to_teach(page, stand)
     state(page, "teaching")
     if why == "out of reach":
         page.fill("#line-form [name=from]", "0.9, 0, 0.1")
