@@ -75,7 +75,8 @@ def path_motion(request: PathRequest, q_now: Sequence[float], on: Driven) -> Pat
     """
     outline, arm, robot, learnt = Outline(request), on.arm, on.robot, request.learnt
     refused: tuple[str, ...] = ()
-    if learnt and (learnt.arm_id, learnt.calibration_hash) != (arm.arm_id, arm.calibration_hash):
+    mine = arm.arm_id, arm.calibration_hash, robot.chain.n
+    if learnt and (learnt.arm_id, learnt.calibration_hash, len(learnt.begin_rad)) != mine:
         raise RequestRefused("FOREIGN_PATH", f"it was refined on arm {learnt.arm_id}, or before a calibration")
     begin_rad, farther_rad = (learnt.begin_rad, 0.0) if learnt else (q_now, FARTHER_RAD)
     for way in islice(joint_ways(outline, begin_rad, arm, robot, farther_rad), 1 if learnt else None):

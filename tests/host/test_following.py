@@ -133,6 +133,9 @@ async def test_what_was_learnt_of_a_path_is_of_one_arm_and_its_rows_fit(tmp_path
     async with on_arm("ax12-line") as bench:
         foreign = square().model_copy(update={"learnt": learnt})
         await bench.refused(path(bench.host, bench.anna, foreign), "FOREIGN_PATH")
+        mine = {"arm_id": bench.host.arm.arm_id, "calibration_hash": bench.host.arm.calibration_hash}
+        short = square().model_copy(update={"learnt": learnt.model_copy(update=mine)})
+        await bench.refused(path(bench.host, bench.anna, short), "FOREIGN_PATH")
     text = plan_to_text(foreign).replace('"begin_rad": [', '"begin_rad": [0.0,')
     with pytest.raises(ConfigError, match="each row must have 5 numbers"):
         path_from_text(text, "kept")
