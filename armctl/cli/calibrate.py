@@ -23,6 +23,8 @@ from armctl.errors import RequestRefused
 from armctl.files import load_arm
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from armctl.client import Client
     from armctl.commissioning.calibration import Fit, Readings
     from armctl.commissioning.holding import Held
@@ -49,14 +51,13 @@ def calibrate_command(
     """Find zero ticks and link lengths: touch known points with the limp arm's tool tip.
 
     Fix a sheet with known points to the table, its x axis ahead of the base, and touch every point in different
-    postures: elbow high and low, tool steep and flat. A value that the points do not show
-    is left alone, and named. Torque stays off and nothing is written to the servos. The result is the arm's file from
-    then on; the one before stays in its history, NAME.history/1.yaml and so on beside it. An arm that comes with armctl
-    gets a file of your own.
+    postures: elbow high and low, tool steep and flat. A value that the points do not show is left alone, and named.
+    Torque stays off and nothing is written to the servos. The result is the arm's file from then on; the one before
+    stays in NAME.history beside it, as 1.yaml and so on. An arm that comes with armctl gets a file of your own.
 
     With --holding the arm stands by itself, as it does at work: the daemon moves it above each point, and you lead the
-    tip onto it by keys. Its axes' twists are found as well. How good the result is tell points left out of the fit; an
-    arm that is no better there stays as it was.
+    tip onto it by keys. Twists of its axes are found as well. Each point is left out of the fit in turn: that shows
+    how good the result is. An arm that would be no better stays as it was.
 
     --sag does something else: a running daemon moves the arm along eight lines. What gravity and friction do to each
     joint is kept beside the calibration, as NAME.sag.json, for `armctl experiment`.
@@ -68,10 +69,8 @@ def calibrate_command(
     from armctl.commissioning import arm_file, calibration, pairs
     from armctl.commissioning import holding as under_torque
 
+    _refuse_several(points, readings, zero_at, way)
     holding = way == "holding"
-    if sum(map(bool, (points, readings, zero_at, way and not holding))) != 1 or (holding and zero_at):
-        kinds = "--points FILE, --readings FILE (either with --holding), --zero-at rest|zero, --sag and --pairs"
-        raise click.UsageError(f"give one of {kinds}")
     if way == "sag":
         _calibrate_sag(output)
         return
@@ -86,19 +85,14 @@ def calibrate_command(
         after = pairs.measured(before, partial(opened, output), AtTerminal(output, *ASKED))
         remark = "what the two servos of a joint read at the same places"
     elif zero_at is not None:
-        with opened(output, [joint.servo_id for joint in before.joints]) as bus:
-            AtTerminal(output, *ASKED).ask("", f"hold the limp arm still in its {zero_at} pose")
-            ticks = calibration.read_ticks(bus, before.joints, bus.port.clock)
-        pose = [joint.rest_rad if zero_at == "rest" else 0.0 for joint in before.joints]
-        after = calibration.zeroed(before, ticks, pose)
+        after = _zeroed(output, before, zero_at)
         remark = f"zero ticks read in the {zero_at} pose"
     else:
-        if readings is not None:
-            session = calibration.load_readings(readings, before)
+        if points is not None:
+            usual = save_readings or path.with_name(f"{path.stem}-{datetime.now():%Y%m%d-%H%M%S}.readings")
+            session = _touch_all(output, before, points, touches, usual, holding)
         else:
-            assert points is not None
-            usual = path.with_name(f"{path.stem}-{datetime.now():%Y%m%d-%H%M%S}.readings")
-            session = _touch_all(output, before, points, touches, save_readings or usual, holding)
+            session = calibration.load_readings(readings or Path(), before)
         if save_readings is not None:
             arm_file.write(save_readings, calibration.readings_text(session))
         if holding:
@@ -120,12 +114,27 @@ def calibrate_command(
     if fit is not None:
         show_fit(output, fit)
     if held is not None:
-        rows = [(p["name"], f"{p['value']:.5g}", f"{p['sd']:.2g}", p["unit"]) for p in held.parameters]
-        show_table(output.console, "", ("parameter", "value", "+-", "unit"), rows, words=("parameter", "unit"))
-        output.say(remark)
+        show_held(output, held, remark)
     show_rows(output.console, "changes", "Changed", result["changes"])
     was = f" (before: {kept})" if kept else ""
     output.say(f"written: {path}{was}\nuse it: armctl daemon --arm {name if out is None else out}")
+
+
+def _refuse_several(points: Path | None, readings: Path | None, zero_at: str | None, way: str | None) -> None:
+    """Refuse anything but one kind of calibration; points may be touched by an arm that holds itself."""
+    if sum(map(bool, (points, readings, zero_at, way != "holding" and way))) != 1 or (way == "holding" and zero_at):
+        kinds = "--points FILE, --readings FILE (either with --holding), --zero-at rest|zero, --sag and --pairs"
+        raise click.UsageError(f"give one of {kinds}")
+
+
+def _zeroed(output: Output, arm: ArmConfig, pose: str) -> ArmConfig:
+    """The arm with the zeros that its servos show while a person holds it limp in a pose."""
+    from armctl.commissioning import calibration
+
+    with opened(output, [joint.servo_id for joint in arm.joints]) as bus:
+        AtTerminal(output, *ASKED).ask("", f"hold the limp arm still in its {pose} pose")
+        ticks = calibration.read_ticks(bus, arm.joints, bus.port.clock)
+    return calibration.zeroed(arm, ticks, [joint.rest_rad if pose == "rest" else 0.0 for joint in arm.joints])
 
 
 def _touch_all(output: Output, arm: ArmConfig, points: Path, touches: int, kept: Path, holding: bool) -> Readings:
@@ -161,9 +170,7 @@ def _touch_all(output: Output, arm: ArmConfig, points: Path, touches: int, kept:
     return session
 
 
-def _led(
-    output: Output, client: Client, arm: ArmConfig, point: tuple[float, float, float], posture: int
-) -> tuple[float, ...]:
+def _led(output: Output, client: Client, arm: ArmConfig, point: Sequence[float], posture: int) -> tuple[float, ...]:
     """Mean position [tick] of every servo of an arm that stands by itself where a person led its tip.
 
     Raises:
@@ -215,6 +222,12 @@ def _changes(old_arm: ArmConfig, new_arm: ArmConfig) -> list[dict[str, Any]]:
         before, after = (joint.pair and joint.pair.model_dump(mode="json") for joint in (was, now))
         rows.append((f"{was.name}.pair", before, after))
     return [{"key": key, "before": was, "after": now} for key, was, now in rows if was != now]
+
+
+def show_held(output: Output, held: Held, remark: str) -> None:
+    rows = [(p["name"], f"{round(p['value'], 9) + 0.0:.5g}", f"{p['sd']:.2g}", p["unit"]) for p in held.parameters]
+    show_table(output.console, "", ("parameter", "value", "+-", "unit"), rows, words=("parameter", "unit"))
+    output.say(remark)
 
 
 def show_fit(output: Output, fit: Fit) -> None:

@@ -4,8 +4,8 @@ An arm that stands by itself bends as it does at work, so what is found fits wor
 1. Parameters are the joints' zeros, and a, alpha and d of each row, the tool's place too where the convention has it
    apart. More of them than a sheet tells at once: each has a prior, `SD`, of what an assembly by hand is off by. So
    none has to be held, and what the points do not show stays where it was, with the prior's deviation.
-2. How good the result is tell points that it has not seen: each point is left out in turn, the rest is fitted, and the
-   distance to the point counts (`held_out_mm`). An arm that comes out no better there than it was is not changed.
+2. Points that the fit has not seen show how good it is: each point is left out in turn, the rest is fitted, and the
+   distance to that point counts (`held_out_mm`). An arm that would be no better there than it was is not changed.
 3. The result is the arm's own table: a `robot` with a name becomes one.
 
 On simulated arms, 24 touches of 0.5 mm over a sheet: 1.2 mm on other points (before 2.4) for a careful assembly,
@@ -26,6 +26,7 @@ from armctl.errors import RequestRefused
 from armctl.kinematics import robots
 from armctl.kinematics.chain import SerialChain, link_frames, tool_position
 from armctl.kinematics.transform import FloatArray, rpy_from_matrix
+from armctl.kinematics.urdf_reader import table_row
 
 # Standard deviations of a zero and a twist [rad] and of a length [m], before anybody has touched a point.
 SD_RAD, SD_M = np.radians(1.0), 1e-3
@@ -53,9 +54,7 @@ def standing_ticks(arm: ArmConfig, seen: Sequence[Sequence[dict[str, Any]]]) -> 
         RequestRefused: its torque is off (LIMP), or it moved.
     """
     if not all(joint["torque_enabled"] for joints in seen for joint in joints):
-        raise RequestRefused(
-            "LIMP", "torque is off; type `armctl torque on` in another terminal, and lead the arm anew"
-        )
+        raise RequestRefused("LIMP", "torque is off; type `armctl torque on` elsewhere, and lead the arm anew")
     ticks = [[joint.tick(told["position_rad"]) for joint, told in zip(arm.joints, one, strict=True)] for one in seen]
     return mean_ticks(arm.joints, np.array(ticks))
 
@@ -99,10 +98,7 @@ def fit(arm: ArmConfig, touches: Sequence[Touch]) -> Held:
 
 def table_of(chain: SerialChain) -> dict[str, Any]:
     """A chain as the `robot` of an arm's file has it."""
-    keys, rows = ("a_m", "alpha_deg", "d_m", "theta_deg", "b_m", "beta_deg"), []
-    for row in chain.rows:
-        numbers = row.a, np.degrees(row.alpha), row.d, np.degrees(row.offset), row.b, np.degrees(row.beta)
-        rows.append({key: round(float(number), 7) for key, number in zip(keys, numbers, strict=True) if number})
+    rows = [{key: round(value, 7) for key, value in table_row(row).items()} for row in chain.rows]
     table: dict[str, Any] = {"convention": chain.convention, "dh": rows}
     if chain.has_tool:
         *_, last, tool = link_frames(chain, np.zeros(chain.n))

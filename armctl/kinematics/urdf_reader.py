@@ -88,7 +88,7 @@ class _Reader:
             raise self._wrong(f"link {tool}", "no joint turns between the root and this link", "name the tool's link")
         table = {
             "convention": "modified",
-            "dh": [_row(row) for row in rows],
+            "dh": [table_row(row) for row in rows],
             "tool_m": G[:3, 3].round(12).tolist(),
             "tool_rpy_deg": [math.degrees(angle) for angle in rpy_from_matrix(G[:3, :3])],
         }
@@ -185,7 +185,8 @@ def _onto(axis: FloatArray) -> FloatArray:
     return np.stack([np.cross(across, axis), across, axis], axis=1)
 
 
-def _row(row: DHRow) -> dict[str, float]:
+def table_row(row: DHRow) -> dict[str, float]:
+    """A row as an arm's file has it, without what is 0."""
     lengths = {"a_m": round(row.a, 12), "b_m": round(row.b, 12), "d_m": round(row.d, 12)}
     angles = {"alpha_deg": row.alpha, "beta_deg": row.beta, "theta_deg": row.offset}
     told = lengths | {key: math.degrees(angle) for key, angle in angles.items()}
