@@ -162,6 +162,13 @@ def test_a_fault_that_is_told_has_its_cause(code: str) -> None:
     assert bench.red == {"rows"}
 
 
+@pytest.mark.parametrize(("ahead_s", "broken"), [(0.0, set()), (0.0006, set()), (0.002, {"rows"})])
+def test_the_world_may_be_a_step_ahead_of_the_clock(moving: Bench, ahead_s: float, broken: set[str]) -> None:
+    moving.plan("unplug", 0.1, None, in_s=PERIOD_S + ahead_s)
+    moving.tick(Mode.FAULTED, "PORT_GONE")
+    assert moving.red == broken
+
+
 @pytest.mark.parametrize(
     ("again", "also", "broken"), [(True, "", set()), (False, "", {"yields"}), (False, "NOT_LIMP", set())]
 )

@@ -34,6 +34,9 @@ HEARD_S = 0.006
 RECOVERING_S = 1.0
 # And so long ago something may still be told of it.
 OVER_S = 4.0
+# The simulated world goes on in such steps: a fault begins, and ends, with the next one. It may be a step ahead of the
+# clock, by which the judge goes.
+WORLD_STEP_S = 0.001
 BACK_TICKS = 3.5 / TICK_DEG
 # For so long a goal that damage made is excused: one that repeats a good one is to be there long before.
 FORGED_S = 1.0

@@ -41,7 +41,7 @@ from collections import deque
 from collections.abc import Sequence, Set
 
 from armctl.sim.faults import Fault
-from proving.duties import GARBLES, STOP_S
+from proving.duties import GARBLES, STOP_S, WORLD_STEP_S
 from proving.evidence import Known, Sent, Servo, Strain
 from proving.reading import (
     ADVANCING,
@@ -70,9 +70,8 @@ REST_SPEED_DEG_S = 20.0
 # From the last goal that may advance to an arm that is still.
 REST_S = 0.3
 AGE_S = 0.25
-# The simulated world goes on in such steps: a fault begins, and ends, with the next one. Two times are the same if they
-# differ by such a part of a step, for they are rounded.
-WORLD_STEP_S, SAME_STEP = 0.001, 1e-6
+# Two times are the same if they differ by such a part of a step of the world, for they are rounded.
+SAME_STEP = 1e-6
 # A bus that is heard again: looked for, identified, and the silent ones of it told.
 FOUND_S = 2.5
 BURST_S, BURST = 0.25, 4

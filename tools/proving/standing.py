@@ -17,7 +17,7 @@
 import math
 from collections.abc import Iterator, Mapping, Sequence, Set
 
-from proving.duties import OVER_S, RECOVERING_S, SILENT, STRAYS
+from proving.duties import OVER_S, RECOVERING_S, SILENT, STRAYS, WORLD_STEP_S
 from proving.evidence import Servo, Strain
 from proving.pairs import PairWatch
 from proving.reading import ANNOUNCED_S, FULL_LIMIT, HOLDING, LIMP, OFF, POWERED, RESTING, STARTING, TICK_DEG, Arm
@@ -219,7 +219,7 @@ class StandingJudge(ShaftJudge):
             return "its servos agree"
         # A program that was late finds its port gone for good, however short that was.
         if code == "PORT_GONE" and not duties.lately(
-            now_s, {"unplug"}, OVER_S if now_s - self._late_s < self._period_s else JUST_NOW_S
+            now_s + WORLD_STEP_S, {"unplug"}, OVER_S if now_s - self._late_s < self._period_s else JUST_NOW_S
         ):
             return "the adapter is in"
         return ""
