@@ -19,6 +19,11 @@ def _metres(value: float) -> float:
 Metres = Annotated[float, Field(allow_inf_nan=False), AfterValidator(_metres)]
 
 
+# No sensor is off by more, and no bracket bends more.
+Small = Annotated[float, Field(ge=-10.0, le=10.0, allow_inf_nan=False)]
+NO_WAVES = (0.0, 0.0, 0.0, 0.0)
+
+
 class ChainRow(Frozen):
     """One joint of a Denavit-Hartenberg table; the joint's own angle is added to `theta_deg`."""
 
@@ -34,6 +39,11 @@ class ChainRow(Frozen):
     b_m: Metres = 0.0
     # About y, in the same rows.
     beta_deg: Degrees = 0.0
+    # How far the joint is off what its sensor shows: shares of cos u, sin u, cos 2u and sin 2u, u being 1.2 times its
+    # position; `calibrate --holding` finds them.
+    waves_deg: tuple[Small, Small, Small, Small] = Field(NO_WAVES, strict=False, exclude_if=NO_WAVES.__eq__)
+    # What the weight at this row's frame bends each joint before it by, a metre of lever; found likewise.
+    bend_deg_m: Small = Field(0.0, exclude_if=(0.0).__eq__)
 
 
 class ChainTable(Frozen):
@@ -47,6 +57,8 @@ class ChainTable(Frozen):
     tool_m: tuple[Metres, Metres, Metres] = Field((0.0, 0.0, 0.0), strict=False)
     # Its rotation there: roll about x, pitch about y, yaw about z.
     tool_rpy_deg: tuple[Degrees, Degrees, Degrees] = Field((0.0, 0.0, 0.0), strict=False)
+    # What the weight at the tool bends each joint by, as `bend_deg_m` of a row.
+    tool_bend_deg_m: Small = Field(0.0, exclude_if=(0.0).__eq__)
     # The URDF that the table was made of; the table counts.
     urdf: str = ""
 

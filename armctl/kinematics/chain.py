@@ -7,9 +7,12 @@ with theta_i = q_i + offset_i. A frame is four columns, axes X, Y, Z and origin 
 z mixes X and Y, twisting about x mixes Y and Z, and what a table has as zero is left out. A number is a float or, of m
 poses side by side, an array of shape (m,). Products are written out (no BLAS) and summed in a fixed order, with sines
 of our own, so that the same input gives the same bits for one pose and for a batch, here and on another machine.
+
+A position q is what the joint's sensor shows. A table may tell how its link is off that: by waves of the sensor's
+track, and by what gives way under the arm's weight, which is that of the posture without it.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal
@@ -23,6 +26,9 @@ BLOCK = 2048
 
 # Cosine and sine of 0, 90, 180 and 270 deg.
 QUARTER_TURNS = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))
+
+# The sensor of a servo repeats over its track of 300 deg: a turn of the joint is so many of its waves.
+WAVES_PER_TURN = 360.0 / 300.0
 
 # Three numbers, see above, and X, Y, Z and P of one frame.
 Column = tuple[Any, Any, Any]
@@ -41,6 +47,10 @@ class DHRow:
     # Along y and about y; of modified rows alone.
     b: float = 0.0
     beta: float = 0.0
+    # How far the link is off its sensor [rad]: shares of cos u, sin u, cos 2u and sin 2u, u = q * WAVES_PER_TURN.
+    waves: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
+    # How far the weight at this row's frame bends each joint before it [rad/m]: by so much a metre of its lever.
+    bend: float = 0.0
 
     @cached_property
     def numbers(self) -> tuple[float, ...]:
@@ -58,6 +68,16 @@ class SerialChain:
     tool_m: float = 0.0
     # Where the tool frame lies if it is anywhere else: a fixed modified row after the last one.
     tool: DHRow = DHRow()
+
+    @cached_property
+    def has_waves(self) -> bool:
+        return any(any(row.waves) for row in self.rows)
+
+    @cached_property
+    def bends(self) -> tuple[float, ...]:
+        """Of the base, of every link frame and of the tool [rad/m]; none where nothing bends."""
+        bends = (0.0, *(row.bend for row in self.rows), self.tool.bend)
+        return bends if any(bends) else ()
 
     @property
     def has_tool(self) -> bool:
@@ -144,7 +164,7 @@ def tool_pose(chain: SerialChain, q: Sequence[float]) -> Frame:
 
 def frames_of_one(chain: SerialChain, q: Sequence[float]) -> list[Frame]:
     """As `link_frames`, of one configuration, in plain floats: numpy's calls would take most of the time."""
-    return list(_product(chain, [cos_sin(angle + row.offset) for row, angle in zip(chain.rows, q, strict=True)]))
+    return list(_walked(chain, q, lambda angles: [cos_sin(angle) for angle in angles]))
 
 
 def tool_position(chain: SerialChain, q: FloatArray) -> FloatArray:
@@ -160,6 +180,8 @@ def tool_position(chain: SerialChain, q: FloatArray) -> FloatArray:
 
 def jacobian(chain: SerialChain, q: FloatArray) -> FloatArray:
     """Geometric Jacobian of the tool frame in the base frame, by vector products (Lu & Liu eq. 8).
+
+    It is by the links' angles: how waves and bends change them along the way, some hundredths, is left out.
 
     Args:
         q: Joint positions [rad], shape (..., n).
@@ -222,8 +244,38 @@ def _frames(chain: SerialChain, q: FloatArray) -> Iterable[Frame]:
     """The base, every link frame, and the tool frame if it is another, of q, shape (m, n)."""
     if len(q) == 1:
         return frames_of_one(chain, q[0].tolist())
-    angles = np.ascontiguousarray(q.T) + [[row.offset] for row in chain.rows]
-    return _product(chain, zip(*cos_sin_of_all(angles), strict=True))
+    return _walked(chain, q.T, lambda angles: zip(*cos_sin_of_all(np.array(angles)), strict=True))
+
+
+def _walked(chain: SerialChain, q: Iterable[Any], turns: Callable[[list[Any]], Iterable[Any]]) -> Iterable[Frame]:
+    """The frames of positions that the sensors show.
+
+    Args:
+        turns: Cosine and sine of each of some angles.
+    """
+    if chain.has_waves:
+        q = list(q)
+        waves = turns([position * WAVES_PER_TURN for position in q])
+        q = [at + _wave(row, *wave) for row, at, wave in zip(chain.rows, q, waves, strict=True)]
+    angles = [position + row.offset for row, position in zip(chain.rows, q, strict=True)]
+    frames = _product(chain, turns(angles))
+    if not chain.bends:
+        return frames
+    bent = zip(angles, _bent(chain, list(frames)), strict=True)
+    return _product(chain, turns([angle + by for angle, by in bent]))
+
+
+def _wave(row: DHRow, c: Any, s: Any) -> Any:
+    """How far the link is off its sensor [rad]."""
+    c1, s1, c2, s2 = row.waves
+    return c1 * c + s1 * s + c2 * (c * c - s * s) + s2 * (2.0 * s * c)
+
+
+def _bent(chain: SerialChain, frames: Sequence[Frame]) -> Iterator[Any]:
+    """How far the weight beyond each joint bends it [rad]; gravity points along -z of the base."""
+    for first, (_, _, (z0, z1, _), (p0, p1, _)) in enumerate(chain.turning(frames), chain.first_axis + 1):
+        beyond = zip(frames[first:], chain.bends[first:], strict=False)
+        yield sum(by * (z1 * (P[0] - p0) - z0 * (P[1] - p1)) for (_, _, _, P), by in beyond)
 
 
 def _product(chain: SerialChain, turns: Iterable[tuple[Any, Any]]) -> Iterator[Frame]:

@@ -185,9 +185,10 @@ def _onto(axis: FloatArray) -> FloatArray:
     return np.stack([np.cross(across, axis), across, axis], axis=1)
 
 
-def table_row(row: DHRow) -> dict[str, float]:
+def table_row(row: DHRow) -> dict[str, Any]:
     """A row as an arm's file has it, without what is 0."""
     lengths = {"a_m": round(row.a, 12), "b_m": round(row.b, 12), "d_m": round(row.d, 12)}
-    angles = {"alpha_deg": row.alpha, "beta_deg": row.beta, "theta_deg": row.offset}
+    angles = {"alpha_deg": row.alpha, "beta_deg": row.beta, "theta_deg": row.offset, "bend_deg_m": row.bend}
     told = lengths | {key: math.degrees(angle) for key, angle in angles.items()}
-    return {key: value for key, value in told.items() if value != 0.0}
+    waves = {"waves_deg": [math.degrees(share) for share in row.waves]} if any(row.waves) else {}
+    return {key: value for key, value in told.items() if value != 0.0} | waves

@@ -196,8 +196,8 @@ def _lanzhou(rng: np.random.Generator) -> Measured:
     shown = _rows(link_frames(robots.get("lanzhou-4dof").chain, q), 1e3, modified=True)
     ranges = (*(f"{low:g}~{high:g}" for low, high in LANZHOU_RANGES_DEG), "0")
     table = [[n, values[f"theta{n}"], alpha, a, d, _says(ranges[n - 1], 0.0)] for n, a, alpha, d in shown]
-    about = {"Rot_z(theta_i)": {}, "Trans_z(d_i)": {"d": values["d_i"]}, "Trans_x(a_{i-1})": {"a": values["a_before"]}}
-    about["Rot_x(alpha_{i-1})"] = {"alpha": values["alpha_before"]}
+    about: Any = {"Rot_z(theta_i)": {}, "Trans_z(d_i)": {"d": values["d_i"]}}
+    about |= {"Trans_x(a_{i-1})": {"a": values["a_before"]}, "Rot_x(alpha_{i-1})": {"alpha": values["alpha_before"]}}
     turns = {name: np.array([values["theta_i"] if name == "Rot_z(theta_i)" else 0.0]) for name in about}
     motions = {name: forward_kinematics(SerialChain((DHRow(**row),)), turns[name]) for name, row in about.items()}
     bent_up = q[2] < 0.0

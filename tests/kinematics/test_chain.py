@@ -1,6 +1,7 @@
 """Frames of a chain, its Jacobian, and the tool's velocity and acceleration, at singularities too."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -24,6 +25,16 @@ tools = st.one_of(st.just(DHRow()), anywhere)
 chains = st.one_of(
     st.builds(SerialChain, rows, conventions, st.sampled_from([0.0, 0.13]), tools),
     st.builds(SerialChain, st.lists(anywhere, min_size=1, max_size=7).map(tuple), st.just("modified"), tool=tools),
+)
+
+
+small = st.floats(-0.05, 0.05)
+soft_row = st.builds(replace, row, waves=st.tuples(small, small, small, small), bend=small)
+soft = st.builds(
+    SerialChain,
+    st.lists(soft_row, min_size=1, max_size=6).map(tuple),
+    conventions,
+    tool=st.builds(replace, anywhere, bend=small),
 )
 
 
@@ -68,7 +79,28 @@ def test_jacobian_equals_finite_differences(chain: SerialChain, seed: int) -> No
         np.testing.assert_allclose(J[:, i], [*rate[:3, 3], spin[2, 1], spin[0, 2], spin[1, 0]], atol=1e-8)
 
 
-@given(chains, seeds)
+def links_by_hand(chain: SerialChain, q: FloatArray) -> FloatArray:
+    """Positions of the links: weight bends each joint by the slope of what all of it has in potential."""
+    u = 1.2 * q
+    shares = np.array([row.waves for row in chain.rows])
+    waves = np.einsum("ik,ki->i", shares, np.array([np.cos(u), np.sin(u), np.cos(2.0 * u), np.sin(2.0 * u)]))
+    weights = [row.bend for row in (*chain.rows, *([chain.tool] if chain.has_tool else ()))]
+
+    def potential(at: FloatArray) -> float:
+        return float(np.array(weights) @ frames_by_hand(chain, at)[1:, 2, 3])
+
+    h = 1e-5
+    slopes = [potential(q + waves + step) - potential(q + waves - step) for step in h * np.eye(chain.n)]
+    return np.asarray(q + waves - np.array(slopes) / (2.0 * h))
+
+
+@given(soft, seeds)
+def test_sensors_have_waves_and_weight_bends_joints(chain: SerialChain, seed: int) -> None:
+    q = some_q(chain, seed)
+    np.testing.assert_allclose(link_frames(chain, q), frames_by_hand(chain, links_by_hand(chain, q)), atol=1e-8)
+
+
+@given(st.one_of(chains, soft), seeds)
 def test_one_pose_and_a_batch_give_the_same_bits(chain: SerialChain, seed: int) -> None:
     q = some_q(chain, seed, 2, 3)
     batch = forward_kinematics(chain, q)

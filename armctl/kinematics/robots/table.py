@@ -5,6 +5,7 @@ Every length of the table that is not 0 has a name by its column and row: `a2`, 
 """
 
 import math
+from dataclasses import replace
 from itertools import chain
 
 import numpy as np
@@ -24,16 +25,18 @@ def robot_of(table: ChainTable, name: str, ranges_deg: tuple[tuple[float, float]
     numbered = [(f"{key}{i}", getattr(row, f"{key}_m")) for i, row in enumerate(table.dh, 1) for key in "abd"]
     tool = zip(("tool_x", "tool_y", "tool_z"), table.tool_m, strict=True)
     lengths_m = {key: float(length) for key, length in chain(numbered, tool) if length}
-    angles = [tuple(map(math.radians, (row.alpha_deg, row.theta_deg, row.beta_deg))) for row in table.dh]
+    told = [(row.alpha_deg, row.theta_deg, row.beta_deg, row.bend_deg_m, *row.waves_deg) for row in table.dh]
+    angles = [tuple(map(math.radians, row)) for row in told]
+    tool_bend = math.radians(table.tool_bend_deg_m)
     R = matrix_from_rpy(*map(math.radians, table.tool_rpy_deg))
 
     def made(lengths: dict[str, float]) -> SerialChain:
         rows = []
-        for i, (alpha, theta, beta) in enumerate(angles, 1):
+        for i, (alpha, theta, beta, bend, *waves) in enumerate(angles, 1):
             a, b, d = (lengths.get(f"{key}{i}", 0.0) for key in "abd")
-            rows.append(DHRow(a, alpha, d, theta, b, beta))
+            rows.append(DHRow(a, alpha, d, theta, b, beta, tuple(waves), bend))
         p = np.array([lengths.get(f"tool_{axis}", 0.0) for axis in "xyz"])
-        return SerialChain(tuple(rows), table.convention, tool=row_of(R, p))
+        return SerialChain(tuple(rows), table.convention, tool=replace(row_of(R, p), bend=tool_bend))
 
     return Robot(name, table.urdf or "a table in the arm's file", lengths_m, made, ranges_deg)
 
