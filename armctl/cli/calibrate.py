@@ -55,9 +55,10 @@ def calibrate_command(
     Torque stays off and nothing is written to the servos. The result is the arm's file from then on; the one before
     stays in NAME.history beside it, as 1.yaml and so on. An arm that comes with armctl gets a file of your own.
 
-    With --holding the arm stands by itself, as it does at work: the daemon moves it above each point, and you lead the
-    tip onto it by keys. Twists of its axes are found as well. Each point is left out of the fit in turn: that shows
-    how good the result is. An arm that would be no better stays as it was.
+    With --holding the arm stands by itself, as it does at work: the daemon moves it above each point, you lead the tip
+    near it by keys and press it onto it with a finger. Twists of its axes, waves of its sensors and what its weight
+    bends are found as well. Each point is left out of the fit in turn: that shows how good the result is. An arm that
+    would be no better stays as it was.
 
     --sag does something else: a running daemon moves the arm along eight lines. What gravity and friction do to each
     joint is kept beside the calibration, as NAME.sag.json, for `armctl experiment`.
@@ -154,7 +155,7 @@ def _touch_all(output: Output, arm: ArmConfig, points: Path, touches: int, kept:
             where += f", posture {done % touches + 1} of {touches}"
             try:
                 if client is not None:
-                    output.say(f"{where}: lead the tip onto it, then press q")
+                    output.say(f"{where}: lead the tip near it, press it onto it with a finger, and press q")
                     ticks = _led(output, client, arm, places[done], done % touches + 1)
                 else:
                     assert bus is not None

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from armctl.clock import VirtualClock
+from armctl.config import ArmConfig
 from armctl.control.loop import ControlLoop
 from armctl.dynamixel.bus import ServoBus
 from armctl.errors import RequestRefused
@@ -32,18 +33,20 @@ class VirtualArm:
         simulated: SimulatedArm,
         period_s: float = 0.1,
         *,
+        arm: ArmConfig | None = None,
         clock: VirtualClock | None = None,
         wire: SimulatedBus | None = None,
         make_port: Callable[[SimulatedBus, VirtualClock], LoopbackPort] = LoopbackPort,
     ) -> None:
         """
         Args:
+            arm: What the loop takes the simulated arm for; None: what it is.
             clock: None: one of its own.
             wire: To the servos; None: with an adapter that loses no time.
             make_port: Makes the port of every new control process, for those who want to see what passes.
         """
         self.simulated, self.period_s = simulated, period_s
-        self.arm = simulated.config
+        self.arm = arm or simulated.config
         self.robot = robots.get(self.arm.robot, self.arm.lengths_m)
         self.clock = clock or VirtualClock()
         self.wire = wire or SimulatedBus(simulated)

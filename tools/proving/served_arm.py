@@ -92,18 +92,21 @@ class ServedArm:
         spec: ArmSpec = RANDOM_SPEC,
         *,
         name: str = ARM,
+        taken: ArmConfig | None = None,
         correction: bool = True,
         model: LagModel | None = None,
         period_s: float = 0.1,
     ) -> None:
         """
+        Args:
+            taken: What the program takes it for; None: what its file says.
         Raises:
             RequestRefused: the arm does not take torque, or not this model.
         """
-        arm: ArmConfig = load_arm(name).model_copy(update={} if correction else {"correction": False})
-        self.simulated = SimulatedArm(arm, seed=seed, spec=spec)
+        self.simulated = SimulatedArm(load_arm(name), seed=seed, spec=spec)
+        arm: ArmConfig = (taken or self.simulated.config).model_copy(update={} if correction else {"correction": False})
         self._eye = _Eye(self.simulated)
-        self._virtual = VirtualArm(self.simulated, period_s, clock=self._eye)
+        self._virtual = VirtualArm(self.simulated, period_s, arm=arm, clock=self._eye)
         self.arm, self.robot, self.period_s = arm, self._virtual.robot, period_s
         judged = reading.read(arm_text(name))
         self._joints = judged.joints
@@ -158,9 +161,14 @@ class ServedArm:
         """Offer the control step a model, as the host does before a motion."""
         self._virtual.carry_out(UseModel(self._virtual.next_id(), model))
 
-    def wait(self, seconds: float) -> None:
-        """Nothing is asked for a while."""
-        self._virtual.ticks(round(seconds / self.period_s))
+    def wait(self, seconds: float) -> list[TickRecord]:
+        """Nothing is asked for a while; what the program says meanwhile."""
+        return self._virtual.ticks(round(seconds / self.period_s))
+
+    @property
+    def tool_m(self) -> FloatArray:
+        """Where the tool truly is [m], shape (3,)."""
+        return np.asarray(self.truly.tool_m(np.array([self.looks[-1].joints_rad]))[0])
 
     def strike(self, kind: str, joint: int, begin_s: float, duration_s: float) -> None:
         """A fault of the simulator, so long from now."""
