@@ -160,8 +160,7 @@ def state_command(name: str, group: click.Group | None = None) -> click.Command:
 
     words = (str(group.name), name) if group else (name,)
     typed = " ".join(words)
-    text = tables("arm")["states"][typed]
-    return command(name, SOCKET, group=group, help=f"{text}\n\nExample: armctl {typed}")(ask)
+    return command(name, SOCKET, group=group, help=f"{tables('arm')['states'][typed]}\n\nExample: armctl {typed}")(ask)
 
 
 @click.group("torque")

@@ -145,8 +145,7 @@ class Tool:
             moved = moved or math.dist(place, start) > AT_START_M + MOVED_M
             if key in ENTER or (moved and self._rests(REST_S, period_s)):
                 return place
-            dwells = math.dist(place, last) > AT_START_M and self._rests(SETTLE_S, period_s)
-            if key or dwells:
+            if key or (math.dist(place, last) > AT_START_M and self._rests(SETTLE_S, period_s)):
                 last = place
                 mark()
 

@@ -135,8 +135,7 @@ def check_servos(
     round_trips_ns: list[float] = []
     for joint in arm.servos:
         if joint.servo_id in found:
-            whom = str(joint.servo_id) if missing else "all"
-            slow = f"armctl servo set-return-delay {whom} 0{surroundings.options}"
+            slow = f"armctl servo set-return-delay {joint.servo_id if missing else 'all'} 0{surroundings.options}"
             checks += _servo_checks(bus, joint, found[joint.servo_id], surroundings.options, slow, round_trips_ns)
     if round_trips_ns:
         latency_ms = median(round_trips_ns) / NS_PER_MS

@@ -281,7 +281,6 @@ def _evolve(
     # The first population is the recordings themselves, as in the paper (Fig. 8); searches bring blends in.
     initial = np.repeat(np.arange(recordings, dtype=np.intp)[:, None], stations, axis=1)
     tables = [costs.table(share) for share in settings.charge_shares]
-    longest = settings.generations // len(tables)
     part, begun, improved = 0, 0, 0
     algorithm = GeneticAlgorithm(initial, choices, settings, rng, triple_cost=tables[0])
     best, least = initial[0], np.inf
@@ -298,7 +297,7 @@ def _evolve(
         if progress is not None:
             progress(generation, best_cost_mm[-1], mean_cost_mm[-1])
         stalled = 0 < settings.stall_generations <= generation - max(improved, begun)
-        if stalled or (part + 1 < len(tables) and generation - begun >= longest):
+        if stalled or (part + 1 < len(tables) and generation - begun >= settings.generations // len(tables)):
             part, begun = (part + 1) % len(tables), generation
             if part == 0:
                 algorithm = GeneticAlgorithm(initial, choices, settings, rng, triple_cost=tables[0])

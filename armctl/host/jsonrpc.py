@@ -180,10 +180,9 @@ _CODES: dict[type[ArmctlError], str] = {
 
 def error_data(error: ArmctlError) -> dict[str, Any]:
     """An error as plain data: what a person or a script needs, and what a client needs to raise it again."""
-    reasons = error.reasons if isinstance(error, RequestRefused) else (str(error),)
     return {
         "code": error.code if isinstance(error, BusError | RequestRefused) else _CODES.get(type(error), "FAILED"),
-        "reasons": list(reasons),
+        "reasons": list(error.reasons if isinstance(error, RequestRefused) else (str(error),)),
         "exit_status": error.exit_status,
         "type": type(error).__name__,
         "fields": {key: list(value) if isinstance(value, tuple) else value for key, value in vars(error).items()},

@@ -67,10 +67,9 @@ class Learner:
         return "" if sums is None else self._learnt(sums)
 
     def _learnt(self, sums: lag.Summary) -> str:
-        chain = self.robot.chain
-        history = self._history or sag_file.load_history(self._config, self.arm, chain.n)
-        present = self.load() or lag.nominal(self.arm, chain)
-        lesson = learning.learn(self.arm, chain, history.experience(), present, sums)
+        history = self._history or sag_file.load_history(self._config, self.arm, self.robot.chain.n)
+        present = self.load() or lag.nominal(self.arm, self.robot.chain)
+        lesson = learning.learn(self.arm, self.robot.chain, history.experience(), present, sums)
         made = datetime.now(UTC).isoformat(timespec="seconds")
         self._history = history.after(lesson, made)
         if lesson.model is not None:

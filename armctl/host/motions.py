@@ -171,9 +171,8 @@ def within_limits(q: Sequence[float], arm: ArmConfig) -> bool:
 
 def move_result(done: Done, robot: Robot) -> dict[str, Any]:
     """How far from its target the tool came to rest, by the encoders."""
-    n = robot.chain.n
     target_rad, joints_rad = done.trajectory.positions_rad[-1], done.watch.positions_rad[-1]
-    wanted, reached = np.array([target_rad[:n], joints_rad[:n]])
+    wanted, reached = np.array([target_rad[: robot.chain.n], joints_rad[: robot.chain.n]])
     place = tool_position(robot.chain, reached)
     return {
         "position_error_mm": 1e3 * float(np.linalg.norm(place - tool_position(robot.chain, wanted))),

@@ -116,8 +116,7 @@ def turn_left(chain: SerialChain, R: FloatArray, T: FloatArray, direction: Float
     # Opposite to it there is no shortest way: any turn about what lies across will do.
     across = np.cross(direction, np.eye(3)[np.abs(direction).argmin()])
     axis = np.where(((sine < 1e-9) & (cosine < 0.0))[..., None], across, axis)
-    length = np.maximum(np.linalg.norm(axis, axis=-1), 1e-300)
-    return np.asarray(axis * (np.arctan2(sine, cosine) / length)[..., None])
+    return np.asarray(axis * (np.arctan2(sine, cosine) / np.maximum(np.linalg.norm(axis, axis=-1), 1e-300))[..., None])
 
 
 def pose_errors(

@@ -159,9 +159,8 @@ def answer(
         q = _polished(robot, target, q)
     position_m, turn_rad, reached = _errors(robot, target, q)
     keep = np.flatnonzero(reached) if reached.any() else np.arange(len(q))
-    inside = within_limits(q[keep], limits)
     misses = np.zeros(len(keep)) if reached.any() else np.round(position_m + turn_rad, 9)[keep]
-    order = keep[_order(q[keep], weighted_travel(q[keep], present, limits), ~inside, misses)]
+    order = keep[_order(q[keep], weighted_travel(q[keep], present, limits), ~within_limits(q[keep], limits), misses)]
     judge = partial(_missed, robot, target)
     solutions = [Solution(tuple(one.tolist()), bool(within_limits(one, limits)), judge) for one in _distinct(q[order])]
     return Answer(bool(reached.any()), least, tuple(solutions))

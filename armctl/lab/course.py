@@ -47,7 +47,6 @@ def courses(rig: Rig, line: Line, via: int | None, ways: FloatArray) -> Iterator
         via: How many via points; None: a goal every tick.
         ways: Joint positions [rad] along the line, shape (ways, stations, n); see `line_paths`.
     """
-    chain = rig.robot.chain
     if via is None:
         yield from (_course(rig, line, None, way) for way in ways[:TRIED_WAYS])
         return
@@ -55,8 +54,8 @@ def courses(rig: Rig, line: Line, via: int | None, ways: FloatArray) -> Iterator
     # What few waypoints cannot follow counts as well as what the servos get wrong: a joint that turns around on the way
     # jumps by twice its friction, and only a goal every tick can make up for that.
     def cost(q: FloatArray) -> FloatArray:
-        bent = np.sqrt((distance_to_line(tool_position(chain, q), line.A, line.B) ** 2).mean(axis=-1))
-        return np.asarray(bent + SERVO_ERROR_RAD * sensitivity_m(chain, q, line.A, line.B))
+        bent = np.sqrt((distance_to_line(tool_position(rig.robot.chain, q), line.A, line.B) ** 2).mean(axis=-1))
+        return np.asarray(bent + SERVO_ERROR_RAD * sensitivity_m(rig.robot.chain, q, line.A, line.B))
 
     knots = np.broadcast_to(np.linspace(0.0, 1.0, via + 2), (len(ways), via + 2))
     kept = joint_path(ways, np.broadcast_to(np.linspace(0.0, 1.0, ways.shape[1]), ways.shape[:2]), knots[0], "cubic")
@@ -73,9 +72,8 @@ def _course(rig: Rig, line: Line, via: int | None, way: FloatArray) -> Course:
     offset = np.zeros((m, 3))
     if line.unseen_m is not None:
         offset = columns_at(np.linspace(0.0, 1.0, m), np.linspace(0.0, 1.0, len(line.unseen_m)), line.unseen_m)
-    n = rig.robot.chain.n
-    beyond = np.zeros((len(knots), len(rig.arm.joints) - n))
-    course = Course(line, kind, via is None, at_knots, knots, np.zeros((m, n)), offset, beyond)
+    beyond = np.zeros((len(knots), len(rig.arm.joints) - rig.robot.chain.n))
+    course = Course(line, kind, via is None, at_knots, knots, np.zeros((m, rig.robot.chain.n)), offset, beyond)
     for _ in range(1 if via is None else 3):
         course = placed(rig, course, move_knots=via is not None)
     return course

@@ -191,10 +191,9 @@ def _run(session: _Session, out: Path, plan: Plan, *, corrected: bool) -> list[_
     first, last = (_recording(out, name) for name in (row["recordings"][0], answer["recording"]))
     earlier_ns = _begin_ns(last) - _begin_ns(first)
     times_ns = {key: answer[key] - earlier_ns for key in ("begin_ns", "end_ns")}
-    refined = plan_from_text(read_text(Path(answer["plan"]), "plan"), answer["plan"])
     return [
         _ran(session, out, plan, how, {**answer, **row, **times_ns, "recording": first.name}),
-        replace(best, plan=refined, goals="refined"),
+        replace(best, plan=plan_from_text(read_text(Path(answer["plan"]), "plan"), answer["plan"]), goals="refined"),
     ]
 
 
@@ -235,10 +234,9 @@ def _finish(
     session: _Session, out: Path, arm: ArmConfig, names: list[str], optimised: dict[str, Any], runs: list[_Ran]
 ) -> dict[str, Any]:
     """Replay every log, write the report, and say it all."""
-    stage = session.stage
     logs = sorted((out / "logs").glob("*.mcap")) + sorted((out / "recordings").glob("*.mcap"))
     replayed = {"ticks": 0, "messages": 0, "mismatches": 0, "seconds": 0.0}
-    with stage("replaying every log", len(logs)) as show:
+    with session.stage("replaying every log", len(logs)) as show:
         for count, log in enumerate(logs):
             result = replay.check(log)
             for key in replayed:
@@ -260,7 +258,7 @@ def _finish(
         runs=[line_run(chain, ran.plan.via, ran.plan, ran.measured)._replace(goals=ran.goals) for ran in runs],
         notes=("Every log was run through the control step again: " + counted.format_map(replayed),),
     )
-    with stage("writing the report", 1) as show:
+    with session.stage("writing the report", 1) as show:
         line.write(report, out / "report.html")
         show(1, "")
     refined = [ran for ran in runs if ran.goals == "refined"]

@@ -260,12 +260,11 @@ def _held_as_taught(rig: Rig, line: Line, path: FloatArray, ways: FloatArray) ->
 
 def choose_via(rig: Rig, line: Line, ways: FloatArray, tolerance_mm: float) -> int:
     """The fewest via points whose predicted error is within the tolerance; if none is, the most that are tried."""
-    chain = rig.robot.chain
     for count in AUTO_VIA:
         q = next(courses(rig, line, count, ways)).expected_rad
         # What whole ticks and friction leave at the tool, whatever the plan.
-        floor_mm = course.SERVO_ERROR_RAD * rms_lever_m(chain, q, line.A, line.B) * 1e3
-        if float(mean_error(tool_position(chain, q), line.A, line.B)) * 1e3 + floor_mm <= tolerance_mm:
+        floor_mm = course.SERVO_ERROR_RAD * rms_lever_m(rig.robot.chain, q, line.A, line.B) * 1e3
+        if float(mean_error(tool_position(rig.robot.chain, q), line.A, line.B)) * 1e3 + floor_mm <= tolerance_mm:
             return count
     return AUTO_VIA[-1]
 

@@ -74,9 +74,8 @@ def rms_lever_m(chain: SerialChain, q: FloatArray, A: FloatArray, B: FloatArray)
 
 def unseen_mm(rig: Rig, plan: Plan) -> dict[str, float]:
     """An estimate of what no encoder shows: how far zero offsets of up to half a tick, evenly spread, move the tool."""
-    chain = rig.robot.chain
-    q = np.array(plan.waypoints_rad)[:, : chain.n]
-    rms_mm = rms_lever_m(chain, q, np.array(plan.from_m), np.array(plan.to_m)) * 1e3
+    q = np.array(plan.waypoints_rad)[:, : rig.robot.chain.n]
+    rms_mm = rms_lever_m(rig.robot.chain, q, np.array(plan.from_m), np.array(plan.to_m)) * 1e3
     return {"zero_offset_mm": rms_mm * TICK_RAD / np.sqrt(12.0), "per_degree_mm": rms_mm * float(np.radians(1.0))}
 
 

@@ -27,8 +27,7 @@ def read(path: Path) -> tuple[FloatArray, FloatArray]:
     Raises:
         ConfigError: the file cannot be read, or is not such a table; names line and column.
     """
-    remedy = f"the table needs {', '.join(COLUMNS)}"
-    _, found = csv_table(read_text(path, "measurement"), str(path), COLUMNS, remedy)
+    _, found = csv_table(read_text(path, "measurement"), str(path), COLUMNS, f"the table needs {', '.join(COLUMNS)}")
     rows = [[finite(cells[column], str(path), where) for column in COLUMNS] for where, cells in found]
     table = np.array(rows).reshape(-1, 4)
     if len(table) < 2 or not (np.diff(table[:, 0]) > 0.0).all():

@@ -48,10 +48,9 @@ def random_line(rig: Rig, rng: np.random.Generator, *, stretch: float = STRETCH)
         half = size * rng.uniform(0.2, 0.3) / 2.0 * direction / np.linalg.norm(direction)
         middle = rng.uniform((-0.1 * size, -0.3 * size, arm.floor_m + 0.03), highest)
         points = middle + np.linspace(-1.0, 1.0, 21)[:, None] * half
-        radius = np.hypot(points[:, 0], points[:, 1])
         if (
             np.linalg.norm(points - shoulder, axis=1).max() < stretch * stretched
-            and radius.min() > 0.10 * size
+            and np.hypot(points[:, 0], points[:, 1]).min() > 0.10 * size
             and points[:, 2].min() > arm.floor_m + 0.03
             and np.abs(np.arctan2(points[:, 1], points[:, 0])).max() < 2.0
         ):

@@ -95,11 +95,10 @@ def _xiang() -> dict[str, Cells]:
 
 def _puma() -> dict[str, Cells]:
     theta, alpha, a, d = (symbol(f"{name}_i") for name in ("theta", "alpha", "a", "d"))
-    away = [[None, None, None, symbol(f"p_n{axis}") - symbol(f"p_{axis}")] for axis in "xyz"]
     return {
         "(1)": (about_z(theta, d) * about_x(alpha, a)).tolist(),
         "(3)": _pose().tolist(),
-        "(5)": [*away, [0, 0, 0, 0]],
+        "(5)": [*[[None, None, None, symbol(f"p_n{axis}") - symbol(f"p_{axis}")] for axis in "xyz"], [0, 0, 0, 0]],
     }
 
 
@@ -133,11 +132,10 @@ def _transfer() -> dict[str, Cells]:
     A = [about_x(alpha, a) * about_z(theta, d) for theta, (a, alpha, d) in zip(THETA, rows, strict=True)]
     # In the initial position, millimetres.
     at = {a1: 100, a2: 450, d4: 160, d6: 100} | dict(zip(THETA, (QUARTER, -QUARTER, 0, 0, 0, 0), strict=True))
-    initial = reduce(lambda T, link: T * link.subs(at), A, sympy.eye(4))
     return {
         "(1)": LINK_AFTER.tolist(),
         "(3)": _pose().tolist(),
-        "after (3), 0T6": initial.tolist(),
+        "after (3), 0T6": reduce(lambda T, link: T * link.subs(at), A, sympy.eye(4)).tolist(),
         "(4), first matrix": _back(A[0]).tolist(),
         "(4), second matrix": _pose().tolist(),
     }

@@ -133,7 +133,6 @@ def _puma(rng: np.random.Generator) -> Measured:
     values, link = _one_link(rng, "standard", "i")
     frames = link_frames(robots.get("puma560").chain, rng.uniform(-math.pi, math.pi, 6))
     T, other = frames[-1], frames[-2]
-    table = [[n, alpha, _says("", a, 1e3), None, _says("", d, 1e3)] for n, a, alpha, d in _rows(frames)]
     values |= {f"p_n{axis}": float(away) for axis, away in zip("xyz", other[:3, 3], strict=True)}
     blocks = {"R_n3x3": reduce(np.matmul, _links(frames))[:3, :3], "O_n3x1": T[:3, 3:], "0_1x3": np.zeros((1, 3))}
     return values | _pose(T), {
@@ -141,7 +140,7 @@ def _puma(rng: np.random.Generator) -> Measured:
         "(3)": T,
         "(3), blocks": [[_meant(blocks, T[:3, :3]), _meant(blocks, T[:3, 3:])], [_meant(blocks, T[3:, :3]), 1.0]],
         "(5)": other - T,
-        "Table 1": table,
+        "Table 1": [[n, alpha, _says("", a, 1e3), None, _says("", d, 1e3)] for n, a, alpha, d in _rows(frames)],
     }
 
 

@@ -29,8 +29,7 @@ def round_trip(robot: Robot, poses: int, rng: np.random.Generator) -> tuple[floa
         The greatest pose error [m and rad] of any branch, the most branches of a pose, and how far [rad] the
         configuration that a pose was made of is from the nearest branch, at most.
     """
-    limits = robot.limits_rad
-    q = rng.uniform(limits[:, 0], limits[:, 1], (poses, robot.chain.n))
+    q = rng.uniform(robot.limits_rad[:, 0], robot.limits_rad[:, 1], (poses, robot.chain.n))
     branches, missed = through_closed_form(robot, q)
     holds = missed < 1e-6
     away = np.abs((branches - q[:, None] + np.pi) % (2.0 * np.pi) - np.pi).max(axis=-1)

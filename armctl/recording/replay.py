@@ -240,8 +240,7 @@ class Rerun:
 
     def _cut_off(self) -> None:
         """Count what was collected of a tick that has no cycle; a trimmed file begins with diagnostics of its own."""
-        tick = self._tick
-        self.found.skipped += tick.servos is not None or not tick.logged.keys() <= {channels.DIAGNOSTICS}
+        self.found.skipped += self._tick.servos is not None or not self._tick.logged.keys() <= {channels.DIAGNOSTICS}
 
     def _finish(self, tick: _Tick, cycle: Value, epoch_ns: int) -> None:
         number, time_ns, own = cycle["tick"], cycle["time_ns"], not cycle["inputs_only"]

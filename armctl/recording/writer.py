@@ -245,9 +245,8 @@ class LogWriter:
         self._begun = True
         self.begin_ns = time_ns
         epoch_ns = self.anchor.epoch_ns(time_ns)
-        context = self.context
         self._add(epoch_ns, channels.string_message(channels.ROBOT_DESCRIPTION, self._description))
-        self._add(epoch_ns, channels.static_transforms(epoch_ns, context.arm, context.robot))
+        self._add(epoch_ns, channels.static_transforms(epoch_ns, self.context.arm, self.context.robot))
         if self._keyframe:
             self._add(epoch_ns, channels.string_message(channels.STATE, self._keyframe))
         for record in self._inputs_only:

@@ -310,10 +310,9 @@ def _stretches(trace: Trace, h: int, loads: FloatArray, found: JointFound) -> fo
     k = k[one_way & moves & near & ~(limited[1:-1] | limited[2:])]
     k = k[:: 1 + len(k) // STRETCHES]
     volts = (trace.voltage_V[k, h] + trace.voltage_V[k + 1, h]) / (2.0 * RATED_V)
-    goal_tick = np.array([trace.shown_tick[k, h], trace.goal_tick[k, h]])
     return foretelling.Stretches(
         length_s=t[k + 1] - t[k], shaft_tick=x[k], whole_tick=(np.rint(ramp) + np.rint(behind))[k], ramp_tick=ramp[k],
-        velocity_rad_s=v[k], goal_tick=goal_tick,
+        velocity_rad_s=v[k], goal_tick=np.array([trace.shown_tick[k, h], trace.goal_tick[k, h]]),
         sent_s=np.where(np.isfinite(trace.sent_s[k]), trace.sent_s[k] - t[k], math.inf),
         speed_tick_s=trace.speed_tick_s[[k - 1, k], h], from_reference=found.ramp_evidence > 0.0,
         margin_tick=margin[k], punch=punch, gain=gain, volts=volts, gravity=loads[0, [k, k + 1]],

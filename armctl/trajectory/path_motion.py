@@ -135,12 +135,11 @@ def joint_ways(
     J = jacobian(chain, ways)[..., :3, :]
     lever = np.linalg.norm(J - along[:, :, None] * (along[:, None, :] @ J), axis=-2)
     turn = np.abs(ways[:, 0] - np.array(q_now[: chain.n])).max(axis=1)
-    best = np.lexsort((line_path.turning_too(lever, ways), turn > turn.min() + farther_rad))[:TRIED_WAYS]
     rows = int(np.clip(math.ceil(outline.length_m / ROW_M), FEWEST_ROWS, MOST_ROWS)) + 1
     place = np.linspace(0.0, 1.0, rows)
     fine = outline.rounded(place * outline.length_m)
     knots = np.linspace(0.0, 1.0, len(stations))
-    for i in best:
+    for i in np.lexsort((line_path.turning_too(lever, ways), turn > turn.min() + farther_rad))[:TRIED_WAYS]:
         yield line_path.onto(chain, fine, joint_path(ways[i], knots, place, "cubic"), limits, 12)[0]
 
 

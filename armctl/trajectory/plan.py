@@ -141,9 +141,8 @@ def joint_trajectory(plan: Plan, arm: ArmConfig, q_now: Sequence[float], period_
     Raises:
         ValueError: `q_now` is not one finite number a joint of the plan, or the period is not positive.
     """
-    motion = partial(plan_positions, plan)
     on = DrivenArm(arm, robots.of(arm), period_s)
-    return led_in(motion, plan.duration_s, on, q_now, f"line via {plan.via}", early_s=math.inf)
+    return led_in(partial(plan_positions, plan), plan.duration_s, on, q_now, f"line via {plan.via}", early_s=math.inf)
 
 
 def led_in(

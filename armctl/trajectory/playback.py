@@ -116,8 +116,7 @@ def motion_from_text(text: str, file: str) -> TaughtMotion:
         scaled = (math.radians(q) if name.endswith(DEGREES) else q for name, q in angles)
         positions.append(tuple(round(q, DECIMALS) for q in scaled))
     joints = tuple(name.removesuffix(EXPORTED).removesuffix(DEGREES) for name in columns)
-    data = {"joints": joints, "time_s": tuple(time_s), "positions_rad": tuple(positions)}
-    return validate(TaughtMotion, data, file)
+    return validate(TaughtMotion, {"joints": joints, "time_s": tuple(time_s), "positions_rad": tuple(positions)}, file)
 
 
 class Playback(NamedTuple):

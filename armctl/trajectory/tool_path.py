@@ -148,9 +148,8 @@ class Outline:
             ValueError: an arc's three points make no circle.
         """
         self._parts = _parts([np.array(point) for point in request.points_m], request.kinds)
-        lengths = [part.length_m for part in self._parts]
         # Where each part begins, and the last one ends.
-        self.knots_m: FloatArray = np.concatenate([[0.0], np.cumsum(lengths)])
+        self.knots_m: FloatArray = np.concatenate([[0.0], np.cumsum([part.length_m for part in self._parts])])
         self.length_m = float(self.knots_m[-1])
         # Way [m], half the width [m], and the change of direction of each corner.
         self.corners: list[tuple[float, float, FloatArray]] = []

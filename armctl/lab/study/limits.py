@@ -86,12 +86,11 @@ def with_shares(rows: Sequence[Row], *_: object) -> list[Row]:
 def write(path: Path, cases: Sequence[Case], found: Sequence[Found], rows: Sequence[Row], workers: Workers) -> None:
     """Write the page with all the evidence, the fronts of `pareto` among it."""
     case = cases[0]
-    counts = tuple(via for via in case.via if isinstance(via, int))
     report = ExperimentReport(
         ends=(case.line.A, case.line.B),
         outcomes=found[0].evidence,
         limits=rows,
-        fronts=_fronts(replace(case, via=counts), workers),
+        fronts=_fronts(replace(case, via=tuple(via for via in case.via if isinstance(via, int))), workers),
         notes=(f"Simulated arm {case.seed} of the batch, {case.repeats} repeats of each final plan.",),
     )
     page.write(report, path)
