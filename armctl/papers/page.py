@@ -7,7 +7,7 @@ from pathlib import Path
 from armctl.papers.comparison import PaperReport
 from armctl.papers.entries import MISPRINT, NOT_READABLE, Entry, counted, errata
 from armctl.papers.transcription import transcription
-from armctl.report.page import Marked, Page
+from armctl.report.page import TEXTS, Marked, Page
 
 QUANTITIES = ("quantity", "printed", "armctl", "verdict")
 ERRATA = ("where", "printed", "true", "proof")
@@ -25,13 +25,7 @@ def quantities(report: PaperReport) -> list[tuple[str, ...]]:
 def write(reports: Sequence[PaperReport], found: Sequence[Entry], path: Path) -> None:
     """Write the page: of every paper its quantities, figures and tables, and every entry that it prints."""
     page = Page("Five papers, recomputed")
-    page.text(
-        "Each quantity that a paper prints is shown beside the one computed here. Equal: the same to the printed "
-        "digits, or by algebra. Misprint: print contradicts itself or the model of the paper, as numbers prove. "
-        "Differs: the reason is given. Not printed: the paper has no number and no word of it. Not readable: the scan "
-        "has lost it.",
-        *(f"{paper}: {words}." for paper, words in counted(found).items()),
-    )
+    page.text(TEXTS["papers"], *(f"{paper}: {words}." for paper, words in counted(found).items()))
     for report in reports:
         page.chapter(f"{report.paper}: {report.title}")
         page.text(*report.notes)

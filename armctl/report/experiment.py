@@ -12,7 +12,7 @@ import numpy as np
 
 from armctl.kinematics.transform import FloatArray
 from armctl.report import line, pareto, picture
-from armctl.report.page import Page, curve
+from armctl.report.page import TEXTS, Page, curve
 from armctl.trajectory.straightness import errors_mm
 
 
@@ -89,13 +89,7 @@ def _limits(page: Page, report: line.ExperimentReport) -> None:
                 values, spreads = ([row[key] for row in some] for key in (stage, "spread_mm"))
                 spread = {"type": "data", "array": spreads, "visible": stage == "after_mm"}
                 chart.add("bar", x=names, y=values, error_y=spread, name=line.via_text(via), marker={"color": colour})
-    page.table(
-        ("via", "without", "before, mm", "after, mm", "whole ticks, mm", "zero offsets, mm"),
-        [_limit(row) for row in report.limits],
-        "The shares do not add up, because the effects depend on one another. Whole ticks: the error that rounding "
-        "goals to ticks causes on perfect servos. Zero offsets: the mean error by offsets of up to half a tick, which "
-        "no encoder sees.",
-    )
+    page.table(rows=[_limit(row) for row in report.limits], **TEXTS["line"]["limits"])
 
 
 def _limit(row: dict[str, Any]) -> tuple[str, ...]:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import yaml
 
-from armctl.report.page import Page, curve
+from armctl.report.page import TEXTS, Page, curve
 from armctl.trajectory.identification import Found
 
 # Of each quantity: heading, unit, the least and the most that the simulator draws.
@@ -20,10 +20,7 @@ def write(found: Found, path: Path) -> None:
         LogError: it cannot be written.
     """
     page, rows = Page("What these servos are like"), []
-    page.text(
-        "Found by small motions, or from logs. Joints are counted from the base. Bars are two standard deviations; the "
-        "simulator's servos, from new ones to worn ones, lie between the grey lines."
-    )
+    page.text(TEXTS["identified"])
     for key, (title, unit, low, high) in ASSUMED.items():
         seen = [(number, *joint.values[key]) for number, joint in enumerate(found.joints, 1) if key in joint.values]
         off = [number for number, value, sd in seen if not low - LIKELY * sd <= value <= high + LIKELY * sd]

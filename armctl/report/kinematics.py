@@ -13,7 +13,7 @@ from armctl.kinematics.chain import SerialChain, forward_kinematics, link_frames
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.kinematics.workspace import ReachabilityMap
-from armctl.report.page import CLOSE, Figure, Page, axes, in_space
+from armctl.report.page import CLOSE, TEXTS, Figure, Page, axes, in_space
 from armctl.report.page import curve as line
 from armctl.trajectory.quintic import Curves
 
@@ -31,16 +31,7 @@ Arms = dict[str, FloatArray]
 UNITS = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
 HEIGHT = 440
 # What of a trajectory is drawn -> the field of `Curves`, and its unit there; metres are drawn as millimetres.
-CURVES: dict[str, tuple[str, str]] = {
-    "Joint positions": ("position_rad", "deg"),
-    "Joint velocities": ("velocity_rad_s", "deg/s"),
-    "Joint accelerations": ("acceleration_rad_s2", "deg/s²"),
-    "Tool position": ("tool_position_m", "m"),
-    "Tool velocity": ("tool_velocity_m_s", "m/s"),
-    "Tool acceleration": ("tool_acceleration_m_s2", "m/s²"),
-    "Tool angular velocity": ("tool_angular_velocity_rad_s", "rad/s"),
-    "Tool angular acceleration": ("tool_angular_acceleration_rad_s2", "rad/s²"),
-}
+CURVES: dict[str, tuple[str, str]] = {title: (field, unit) for title, (field, unit) in TEXTS["curves"].items()}
 
 
 def arm(
@@ -124,11 +115,9 @@ def in_mm(values: FloatArray, unit: str) -> tuple[FloatArray, str]:
     return (values * 1e3, f"m{unit}") if unit.startswith("m") else (values, unit)
 
 
-def extents_table(
-    extent_m: FloatArray, points_m: FloatArray
-) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...], str]:
+def extents_table(box_m: FloatArray, points_m: FloatArray) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...], str]:
     """Exact extents, shape (3, 2), beside those of a cloud, shape (m, 3): header, rows and caption."""
-    boxes_mm = np.column_stack([extent_m, points_m.min(axis=0), points_m.max(axis=0)]) * 1e3
+    boxes_mm = np.column_stack([box_m, points_m.min(axis=0), points_m.max(axis=0)]) * 1e3
     rows = tuple((axis, *(f"{value:.4f}" for value in row)) for axis, row in zip("xyz", boxes_mm, strict=True))
     header = ("axis", "exact least", "exact greatest", "random least", "random greatest")
     return header, rows, f"millimetres, within the joint ranges; random: {len(points_m)} configurations"

@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from armctl.kinematics.transform import FloatArray
-from armctl.report.page import Figure, Page, curve, in_space
+from armctl.report.page import TEXTS, Figure, Page, curve, in_space
 from armctl.trajectory.straightness import distance_to_line, errors_mm, own_chord_mm
 
 
@@ -151,13 +151,7 @@ def wanted(ends: Ends) -> str:
 def write(report: LineReport, path: Path) -> None:
     """Write the page."""
     page = Page("Straight line: taught, optimised, run")
-    page.text(
-        wanted(report.ends),
-        f"{len(report.candidates_m)} hand-guided recordings went into the genetic algorithm; the arm then ran its "
-        "result through 0, 1 and 2 intermediate points: plain, with the plan's own positions as goals, then corrected "
-        "by what the plain runs had shown of the arm, then refined by two further runs.",
-        *report.notes,
-    )
+    page.text(wanted(report.ends), TEXTS["line"]["made"].format(recordings=len(report.candidates_m)), *report.notes)
     colours = dict(zip(dict.fromkeys(run.via for run in report.runs), COLOURS, strict=False))
     shown = [Shown(run.via, run.goals, [run], colours[run.via]) for run in report.runs]
     add_distances(page, report.ends, shown)
@@ -188,14 +182,7 @@ def add_distances(page: Page, ends: Ends, shown: Sequence[Shown]) -> None:
         took = f"{np.mean(durations_s):.2f}" + (f" ± {np.std(durations_s):.2f}" if len(durations_s) > 1 else "")
         rows.append((one.via, one.goals, *told, took, len(one.runs)))
     page.heading("Distance from the line")
-    page.table(
-        ("via points", "goals", "predicted", "by encoders", "paper", "true", "own line", "time s", "runs"),
-        rows,
-        "Mean / maximum distance of the tool from the line AB, mm (eqs. 19, 20), ± standard deviation over the runs. "
-        "Predicted: the commanded motion, with what was known of the arm then. By encoders: servo angles through "
-        "forward kinematics, as the paper measured its Table II. True: the tool's real place, with sag under gravity, "
-        "play and zero offsets. Own line: the real path against the straight line that fits it best.",
-    )
+    page.table(rows=rows, **TEXTS["line"]["distances"])
 
 
 def _spread(pairs: Sequence[tuple[float, float]]) -> str:
@@ -210,37 +197,30 @@ def _spread(pairs: Sequence[tuple[float, float]]) -> str:
 def _candidates(page: Page, report: LineReport) -> None:
     page.heading("Candidates")
     found = (("genetic algorithm", report.ga_mean_mm), ("exact optimum of the same genes", report.exact_mean_mm))
-    page.table(
-        ("recording", "mean mm", "maximum mm", "genes taken"),
-        [(name, f"{mean:.2f}", f"{largest:.2f}", genes) for name, mean, largest, genes in report.candidate_errors_mm]
-        + [(name, f"{mean:.3f}", "", "") for name, mean in found],
-        "A gene is one recording's configuration, or the mean of two, which counts for both. It is a memetic "
-        "algorithm: its crossover finds the cheapest mixture of two parents exactly, by dynamic programming. "
-        f"The genetic algorithm is {report.gap_ratio * 100.0:.2f} % above the exact optimum (dynamic programming).",
-    )
+    taken = report.candidate_errors_mm
+    rows = [(name, f"{mean:.2f}", f"{largest:.2f}", str(genes)) for name, mean, largest, genes in taken]
+    rows += [(name, f"{mean:.3f}", "", "") for name, mean in found]
+    about = TEXTS["line"]["candidates"]
+    page.table(about["header"], rows, about["caption"].format(gap=report.gap_ratio * 100.0))
 
 
-def along_and_off(
-    tool_m: FloatArray, from_m: FloatArray, to_m: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def along_and_off(tool_m: FloatArray, A: FloatArray, B: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Progress along AB, sideways (horizontal) and upward deviation from it [mm]."""
-    direction = (to_m - from_m) / np.linalg.norm(to_m - from_m)
+    direction = (B - A) / np.linalg.norm(B - A)
     sideways = np.cross(direction, (0.0, 0.0, 1.0))
     if np.linalg.norm(sideways) < 1e-6:  # a vertical line has no horizontal direction of its own
         sideways = np.array([1.0, 0.0, 0.0])
     sideways = sideways / np.linalg.norm(sideways)
-    offset = (tool_m - from_m) * 1000.0
+    offset = (tool_m - A) * 1000.0
     return offset @ direction, offset @ sideways, offset @ np.cross(sideways, direction)
 
 
 def add_paths(page: Page, ends: Ends, shown: Sequence[Shown], candidates_m: Sequence[FloatArray] = ()) -> None:
     """The tool paths in space and in both `VIEWS`: taught, commanded and run."""
     page.heading("Path against line, in space, from above and from the side")
-    paths = [
-        (one.name, one.runs[0].real_tool_m, one.colour if one.strokes["dash"] != "dot" else FAINT) for one in shown
-    ]
+    ways = [(one.name, one.runs[0].real_tool_m, one.colour if one.strokes["dash"] != "dot" else FAINT) for one in shown]
     with page.chart("Tool paths in space against the line AB", "Tool paths in space", "", "", height=600) as chart:
-        paths_in_space(chart, ends, paths)
+        paths_in_space(chart, ends, ways)
     for axis, title in VIEWS:
         with page.chart(f"Tool paths against the line AB, {title}", title, ALONG, OFF) as chart:
             draw = partial(_path_curve, chart, ends, axis)

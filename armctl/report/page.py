@@ -1,7 +1,5 @@
 """One HTML page of text, tables and charts that opens without a network."""
 
-from __future__ import annotations
-
 import html
 import json
 from base64 import b64encode
@@ -9,13 +7,16 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
+import yaml
 
 from armctl.kinematics.transform import FloatArray
 from armctl.recording.disk import writing
 
+# What stands on pages word for word.
+TEXTS: dict[str, Any] = yaml.safe_load(Path(__file__).with_name("texts.yaml").read_text(encoding="utf-8"))
 # Looks of a page.
 _STYLE = Path(__file__).with_name("page.css")
 # What a chart without a title has around it: its legend stands in one line above.
@@ -76,7 +77,7 @@ class Marked(str):
 
     kind: str
 
-    def __new__(cls, text: str, kind: str) -> Marked:
+    def __new__(cls, text: str, kind: str) -> Self:
         marked = super().__new__(cls, text)
         marked.kind = kind
         return marked

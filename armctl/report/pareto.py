@@ -5,7 +5,7 @@ from itertools import cycle
 from pathlib import Path
 from typing import Any
 
-from armctl.report.page import Page, curve
+from armctl.report.page import TEXTS, Page, curve
 
 _COLOURS = ("#b0413e", "#c98a1b", "#2a7f62", "#3a6ea5", "#7a4fa3", "#5a6878", "#9a5b2e", "#3f8f9b")
 
@@ -26,9 +26,6 @@ def add_fronts(page: Page, rows: Sequence[dict[str, Any]]) -> None:
             return float(row["truth"]["mean_error_mm"]) if row["truth"] else None
         return float(row["predicted_mean_error_mm"]) if row["feasible"] else None
 
-    def spread(row: dict[str, Any]) -> float:
-        return float(row["truth"]["spread_mm"]) if row.get("truth") else 0.0
-
     judge = "true distance, simulated arms after correction" if truth else "predicted distance, perfect servos"
     page.heading("Error against time and against via points")
     page.text(f"Judged by: {judge}. A ring marks the front: no other point is as good in both and better in one.")
@@ -41,18 +38,15 @@ def add_fronts(page: Page, rows: Sequence[dict[str, Any]]) -> None:
             for value, colour in zip(dict.fromkeys(row[by] for row in rows), cycle(_COLOURS), strict=False):
                 some = [row for row in rows if row[by] == value and error(row) is not None]
                 name = f"{value} via points" if by == "via" else f"{value:g} s"
-                bars = {"type": "data", "array": [spread(row) for row in some], "visible": truth}
+                spreads = [float(row["truth"]["spread_mm"]) if row.get("truth") else 0.0 for row in some]
+                bars = {"type": "data", "array": spreads, "visible": truth}
                 x, y = [row[axis] for row in some], [error(row) for row in some]
                 curve(chart, x, y, name, colour, width=1.5, mode="lines+markers", error_y=bars)
             best = sorted((row for row in rows if row[front]), key=lambda row: float(row[axis]))
             x, y = [row[axis] for row in best], [error(row) for row in best]
             rings = {"size": 14, "symbol": "circle-open", "line": {"width": 2}}
             curve(chart, x, y, "front", "#7d8b99", dash="dot", mode="lines+markers", marker=rings)
-    page.table(
-        ("s", "via", "recorded genes, mm", "predicted, mm", "true, mm", "front by time", "front by via"),
-        [_told(row) for row in rows],
-        "Recorded genes: what the genetic algorithm found. Predicted: its plan, genes and via points free.",
-    )
+    page.table(rows=[_told(row) for row in rows], **TEXTS["line"]["fronts"])
 
 
 def _told(row: dict[str, Any]) -> tuple[str, ...]:

@@ -62,8 +62,7 @@ def _told(report: ExperimentReport, when: str, run: LineRun) -> str:
 
 def _thinned(points: FloatArray) -> FloatArray:
     """At most `POINTS` of them, both ends included."""
-    kept: FloatArray = points[np.unique(np.linspace(0, len(points) - 1, POINTS).astype(int))]
-    return kept
+    return np.asarray(points[np.unique(np.linspace(0, len(points) - 1, POINTS).astype(int))])
 
 
 def _view(

@@ -20,7 +20,7 @@ from armctl.recording import timeline
 from armctl.recording.channels import COMMAND
 from armctl.recording.recordings import noted
 from armctl.report.kinematics import COLOURS, in_mm
-from armctl.report.page import Figure, Page, axes, curve
+from armctl.report.page import TEXTS, Figure, Page, axes, curve
 from armctl.trajectory.quintic import Curves, curves
 from armctl.trajectory.smoothing import local_cubics
 from armctl.trajectory.transfer import NOTED, TransferRequest, motion
@@ -100,15 +100,9 @@ def write(transfer: Transfer, path: Path) -> None:
     page = Page(f"Pick and transfer: {transfer.robot.name}")
     cycle = transfer.cycle
     lengths = ", ".join(f"{name} {1e3 * length:g}" for name, length in transfer.robot.lengths_m.items())
-    page.text(
-        f"Down {1e3 * cycle.height_m:.0f} mm onto {_point(cycle.pick_m)} in {cycle.lift_s:g} s, up, across in "
-        f"{cycle.carry_s:g} s, down onto {_point(cycle.place_m)}, up, and back; {cycle.dwell_s:g} s at each station, "
-        f"{cycle.cycles} time(s). Link lengths [mm]: {lengths}."
-    )
-    page.text(
-        f"Solid: recorded by the daemon ({transfer.log.name}); joint positions from the encoders, smoothed and "
-        f"differentiated by cubics fitted within {HALF_WIDTH_S:g} s of each instant. Dashed: the model."
-    )
+    given = {"pick": _point(cycle.pick_m), "place": _point(cycle.place_m), "height_mm": 1e3 * cycle.height_m}
+    given |= {**cycle.model_dump(), "lengths": lengths, "log": transfer.log.name, "window_s": HALF_WIDTH_S}
+    page.text(*(TEXTS["transfer"][part].format_map(given) for part in ("cycle", "curves")))
     told = ([f"{cell:.4f}" if isinstance(cell, float) else cell for cell in row.values()] for row in table(transfer))
     page.table(["figure", "of the paw's midpoint", "unit", "peak, model", "peak, recorded", "rms difference"], [*told])
     for title in TITLES:
