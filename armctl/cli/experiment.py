@@ -72,10 +72,8 @@ def show(output: Output, result: dict[str, Any]) -> None:
         rows.append({**row, **corrected, "paper": PRINTED.get(row["via"])})
     show_rows(output.console, "experiment", "Distance of the tool from the line, mean / maximum, mm", rows)
     if (ga := result["ga"]) is not None:
-        output.say(
-            f"Genetic algorithm over {len(ga['baseline'])} recordings: {ga['mean_error_mm']:.2f} mm mean on their own "
-            f"points, {ga['gap_ratio']:.2%} above the exact optimum."
-        )
+        found = f"{ga['mean_error_mm']:.2f} mm mean on their own points, {ga['gap_ratio']:.2%} above the exact optimum"
+        output.say(f"Genetic algorithm over {len(ga['baseline'])} recordings: {found}.")
     if result["report"] is not None:
         output.say(f"Drawn in {result['report']}")
     output.say(below("experiment", {"unseen": max(one["zero_offset_mm"] for one in result["unseen"].values())}))

@@ -118,11 +118,10 @@ BOUNDS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiv
 def _keys(model: type[BaseModel]) -> str:
     """A line a key: type, default, bounds, and what the source says about it."""
     schema = model.model_json_schema()
-    required = set(schema.get("required", ()))
     said = key_comments(model)
     rows = []
     for key, about in schema["properties"].items():
-        facts = [_kind(about), "required" if key in required else _default(about.get("default"))]
+        facts = [_kind(about), "required" if key in schema.get("required", ()) else _default(about.get("default"))]
         facts += [f"{sign} {about[word]:.15g}" for word, sign in BOUNDS.items() if word in about]
         text = f". {said[key]}" if key in said else ""
         rows.append(f"- `{key}` ({', '.join(filter(None, facts))}){text}")

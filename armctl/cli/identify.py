@@ -85,7 +85,5 @@ def _show(output: Output, result: dict[str, Any]) -> None:
             output.say(f"{row['name']}: {key} was not seen: {why}")
     ramp = {True: "go on from where they are", False: "begin at the shaft", None: "were not seen"}
     output.say(f"with a new goal the speed ramps {ramp[result['ramp_from_reference']]} (ramp_from_reference)")
-    if result["spec"]:
-        output.say(
-            f"{result['spec']}: the twin of this arm; armctl sim --spec, armctl experiment line --virtual --spec"
-        )
+    if spec := result["spec"]:
+        output.say(f"{spec}: the twin of this arm; armctl sim --spec, armctl experiment line --virtual --spec")

@@ -160,16 +160,14 @@ def show_optimum(output: Output, result: dict[str, Any], plan: dict[str, Any]) -
     show_table(output.console, title, ("path", "mean", "maximum"), rows, words=("path",))
 
 
-def _optimize_here(
-    output: Output, recordings: tuple[str, ...], request: OptimizeRequest, progress: Any
-) -> dict[str, Any]:
+def _optimize_here(output: Output, recordings: tuple[str, ...], request: OptimizeRequest, show: Any) -> dict[str, Any]:
     from armctl.commissioning import sag_file
     from armctl.host.jobs import OptimizeJob, optimize_task
 
     folder = data_dir(output.config) / "recordings"
     arm = output.arm
     paths = tuple(Path(name) if "/" in name else folder / f"{name}.mcap" for name in recordings)
-    return optimize_task(OptimizeJob(arm, paths, request, sag_file.load(output.config, arm)), progress)
+    return optimize_task(OptimizeJob(arm, paths, request, sag_file.load(output.config, arm)), show)
 
 
 @command("run", SOCKET)

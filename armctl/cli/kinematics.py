@@ -186,9 +186,7 @@ def trajectory_command(
 
     from armctl.trajectory import quintic
 
-    known: dict[str, Any] = {
-        end: _configuration(robot, f"--{end}", values, deg) for end, values in ends.items() if values is not None
-    }
+    known: dict[str, Any] = {end: _configuration(robot, f"--{end}", q, deg) for end, q in ends.items() if q is not None}
     motion = quintic.quintic(known.pop("q0"), known.pop("q1"), duration, **known)
     time_s = np.linspace(0.0, duration, samples)
     curves = quintic.curves(robot.chain, time_s, *motion.sample(time_s))
@@ -206,9 +204,7 @@ def show_curves(output: Output, result: dict[str, Any], deg: bool, out: Path | N
 
     unit, factor = ("deg", math.degrees(1.0)) if deg else ("rad", 1.0)
     peaks = [factor * np.abs(result[key]).max(axis=0) for key in ("velocity_rad_s", "acceleration_rad_s2")]
-    shown = [
-        (str(joint), *(f"{peak:.6f}" for peak in both)) for joint, both in enumerate(zip(*peaks, strict=True), start=1)
-    ]
+    shown = [(str(joint), *(f"{peak:.6f}" for peak in both)) for joint, both in enumerate(zip(*peaks, strict=True), 1)]
     show_table(output.console, "", ("joint", f"peak velocity, {unit}/s", f"peak acceleration, {unit}/s^2"), shown)
     tool_m = result["tool_position_m"]
     output.say(f"tool from {_numbers(tool_m[0])} to {_numbers(tool_m[-1])} m")

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
+from functools import partial
 from os.path import basename
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,6 +19,9 @@ from armctl.files import logs_dir
 if TYPE_CHECKING:
     from armctl.recording.index import Index
 
+Row = dict[str, Any]
+Ask = Callable[["Index"], list[Row]]
+
 
 @click.group("log")
 def log_command() -> None:
@@ -31,16 +34,18 @@ def log_command() -> None:
 # ------------------------------------------------------------------------------------------------ a folder of them
 
 
-@contextmanager
-def _index(output: Output, folder: Path | None) -> Iterator[Index]:
-    """The index of a folder, brought up to date; None: the folder of the daemon."""
+def _answer(
+    output: Output, folder: Path | None, key: str, table: str, ask: Ask, shown: Callable[[Row], Row] = dict
+) -> None:
+    """What is asked of the index of a folder, brought up to date; None: the folder of the daemon."""
     from armctl.recording.index import Index
 
     with Index(folder or logs_dir(output.config_file)) as index:
         index.catch_up()
         if index.unread:
             output.warn(f"{index.unread} older logs are still being read, and missing here; ask again in a minute")
-        yield index
+        rows = ask(index)
+    output.answer({key: rows, "unread": index.unread}, lambda: show_rows(output.console, table, "", map(shown, rows)))
 
 
 @command("list", CONFIG, group=log_command)
@@ -51,10 +56,10 @@ def log_list(output: Output, log_dir: Path | None) -> None:
     """
     from armctl.recording import search
 
-    with _index(output, log_dir) as index:
-        logs = search.listing(index)
-    shown = (row | {"name": basename(row["path"]), "told": " ".join(_told(row))} for row in logs)
-    output.answer({"logs": logs, "unread": index.unread}, lambda: show_rows(output.console, "logs", "", shown))
+    def shown(row: Row) -> Row:
+        return row | {"name": basename(row["path"]), "told": " ".join(_told(row))}
+
+    _answer(output, log_dir, "logs", "logs", search.listing, shown)
 
 
 def _told(row: Mapping[str, Any]) -> list[str]:
@@ -74,10 +79,10 @@ def log_find(output: Output, expression: tuple[str, ...], log_dir: Path | None) 
     """
     from armctl.recording import search
 
-    with _index(output, log_dir) as index:
-        events = search.find(index, " ".join(expression))
-    shown = (row | {"name": basename(row["log"]), "time": f"{row['time']:.19}"} for row in events)
-    output.answer({"events": events, "unread": index.unread}, lambda: show_rows(output.console, "events", "", shown))
+    def shown(row: Row) -> Row:
+        return row | {"name": basename(row["log"]), "time": f"{row['time']:.19}"}
+
+    _answer(output, log_dir, "events", "events", partial(search.find, expression=" ".join(expression)), shown)
 
 
 @command("stats", CONFIG, group=log_command)
@@ -88,9 +93,7 @@ def log_stats(output: Output, period: str, log_dir: Path | None) -> None:
     """
     from armctl.recording import search
 
-    with _index(output, log_dir) as index:
-        rows = search.stats(index, period)
-    output.answer({"rows": rows, "unread": index.unread}, lambda: show_rows(output.console, "stats", "", rows))
+    _answer(output, log_dir, "rows", "stats", partial(search.stats, period=period))
 
 
 @command("diff", group=log_command)

@@ -77,10 +77,8 @@ def _checked(output: Output, log: Path) -> ReplayResult:
         with log_file.LogFile(log) as file:
             verdict += provenance.other_program(file.facts)
     if not output.json:
-        output.say(
-            f"{result.ticks} ticks, {result.messages} messages re-run in {result.seconds:.2f} s "
-            f"({result.realtime_ratio:.0f} x real time): {verdict}"
-        )
+        ran = f"{result.ticks} ticks, {result.messages} messages re-run in {result.seconds:.2f} s"
+        output.say(f"{ran} ({result.realtime_ratio:.0f} x real time): {verdict}")
         if result.skipped:
             output.say(f"not judged: {result.skipped} ticks, because ticks before them are missing or were cut off")
         for gap in result.gaps:

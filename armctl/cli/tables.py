@@ -13,7 +13,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from itertools import chain, zip_longest
 from pathlib import Path
 from textwrap import wrap
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 if TYPE_CHECKING:
     from armctl.cli.screen import Screen
@@ -42,12 +42,7 @@ def show_table(
 
 
 def table_lines(
-    screen: Screen,
-    columns: Sequence[str],
-    rows: Sequence[Sequence[str]],
-    words: Collection[str] = (),
-    *,
-    width: int | None = None,
+    screen: Screen, columns: Sequence[str], rows: Sequence[Sequence[str]], words: Collection[str] = (), width: int = 0
 ) -> list[str]:
     """The lines of a table.
 
@@ -55,7 +50,7 @@ def table_lines(
         columns: Headings from the left.
         rows: A cell a column; what would steer the terminal is a blank.
         words: Headings of the columns whose cells are words, set from the left; in the others stand figures.
-        width: Characters of a line; None: the screen's.
+        width: Characters of a line; 0: the screen's.
     """
     cells = [[column, *(_plain(row[i]) for row in rows)] for i, column in enumerate(columns)]
     worded = [column in words for column in columns]
@@ -98,8 +93,7 @@ def _table(name: str) -> dict[str, Any]:
     import yaml
 
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # where it is compiled it takes a tenth of the time
-    about: dict[str, Any] = yaml.load(TABLES.read_bytes(), loader)[name]
-    return about
+    return cast(dict[str, Any], yaml.load(TABLES.read_bytes(), loader)[name])
 
 
 def _filled(row: Row, template: str, needed: str | None = None, otherwise: str = "-") -> str:
