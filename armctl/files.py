@@ -63,9 +63,8 @@ def find_arm_file(arm: str) -> Path:
         if re.fullmatch(NAME_PATTERN, arm) and path.is_file():
             return path
         known.update(found.stem for found in folder.glob("*.yaml") if folder.is_dir())
-    raise ConfigError(
-        arm, "", "no such arm", f"known: {', '.join(sorted(known)) or 'none'}; or give the path of a calibration file"
-    )
+    names = ", ".join(sorted(known)) or "none"
+    raise ConfigError(arm, "", "no such arm", f"known: {names}; or give the path of a calibration file")
 
 
 def load_arm(arm: str) -> ArmConfig:
@@ -131,10 +130,9 @@ def _urdf_text(file: Path) -> str:
         remedy = f"pip install xacro, or expand it: xacro {file.name} > {file.stem}"
         raise ConfigError(str(file), "", "is a xacro, and the package `xacro` is not installed", remedy) from None
     try:
-        text: str = xacro.process_file(str(file)).toxml()
+        return str(xacro.process_file(str(file)).toxml())
     except Exception as error:  # of many classes, whatever stands in the file
         raise ConfigError(str(file), "", f"xacro cannot expand it: {str(error).strip()}") from None
-    return text
 
 
 def load_config(path: str | None = None) -> Config:

@@ -3,7 +3,7 @@
 import json
 from dataclasses import fields, is_dataclass
 from functools import cache
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, TypeVar, cast
 
 from pydantic import Field, TypeAdapter
 
@@ -43,8 +43,7 @@ def from_json(kind: type[T], text: str) -> T:
     Raises:
         ValueError: the text is not such a message.
     """
-    adapter: TypeAdapter[T] = _adapter(kind)  # type: ignore[arg-type]  # classes are hashable
-    return adapter.validate_python(json.loads(text))
+    return cast(T, _adapter(kind).validate_python(json.loads(text)))  # type: ignore[arg-type]  # classes are hashable
 
 
 def command_from_json(text: str) -> Command:
@@ -53,8 +52,7 @@ def command_from_json(text: str) -> Command:
     Raises:
         ValueError: the text is no command.
     """
-    command: Command = _adapter(_BY_KIND).validate_python(json.loads(text))
-    return command
+    return cast(Command, _adapter(_BY_KIND).validate_python(json.loads(text)))
 
 
 # One object for all calls: another one would be another type, with an adapter of its own that is kept for ever.

@@ -78,19 +78,17 @@ class PairConfig(Frozen):
         for number, row in enumerate(self.table, start=1):
             if not all(0.0 <= tick <= TICK_MAX for tick in row):
                 raise ValueError(f"pair.table row {number} {list(row)}: a servo reads 0 to {TICK_MAX}")
-        again = "measure anew: `armctl calibrate --pairs`"
+        anew = "measure anew: `armctl calibrate --pairs`"
         sense = _sense(self.table)
         for number, ((a, b), (a_end, b_end)) in enumerate(zip(self.table, self.table[1:], strict=False), start=2):
             if a_end <= a:
                 raise ValueError(f"pair.table row {number}: {a_end:g} after {a:g}; the first servo's ticks must rise")
             share = sense * (b_end - b) / (a_end - a)
             if share <= 0.0:
-                raise ValueError(
-                    f"pair.table row {number}: {b_end:g} after {b:g}: the second servo turns back; {again}"
-                )
+                raise ValueError(f"pair.table row {number}: {b_end:g} after {b:g}: the second servo turns back; {anew}")
             if not LEAST_SHARE <= share <= 1.0 / LEAST_SHARE:
                 ways = f"by {abs(b_end - b):g} ticks where the first one turns by {a_end - a:g}"
-                raise ValueError(f"pair.table row {number}: the second servo turns {ways}, on one shaft; {again}")
+                raise ValueError(f"pair.table row {number}: the second servo turns {ways}, on one shaft; {anew}")
 
     def linked(self, direction: int, zero_tick: float) -> Linkage:
         """How it reads against the first servo, which has this direction and zero tick."""

@@ -40,7 +40,7 @@ ProgrammedT = TypeVar("ProgrammedT")
 Later = Coroutine[Any, Any, T]
 
 Numbers = Sequence[float] | FloatArray
-Place = Numbers | None
+Goal = Numbers | None
 Time = float | None
 # One tick, and its joint positions [rad], shape (joints,); those that are not known are NaN.
 Sample = tuple[Status, FloatArray]
@@ -93,9 +93,7 @@ class Commands(Generic[StateT, StatusT, MovedT, FollowedT, ProgrammedT]):
         """End the faults whose cause is gone."""
         return self._ask("clear")
 
-    def move(
-        self, *, xyz: Place = None, joints_rad: Place = None, pose: Place = None, duration_s: Time = None
-    ) -> MovedT:
+    def move(self, *, xyz: Goal = None, joints_rad: Goal = None, pose: Goal = None, duration_s: Time = None) -> MovedT:
         """Go to one of: a tool point [m], joint positions [rad], or a pose x, y, z [m], roll, pitch, yaw [rad].
 
         Args:

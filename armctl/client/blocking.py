@@ -15,7 +15,7 @@ import socket
 from collections import deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, cast
 
 from armctl.client.protocol import CONNECTIONS, MAX_WAITING_NOTIFICATIONS, Message, Notification, Protocol
 
@@ -111,5 +111,4 @@ class Client(Protocol):
             self._received += data
         line = bytes(self._received[:end])
         del self._received[: end + 1]
-        message: Message = json.loads(line)
-        return message
+        return cast(Message, json.loads(line))

@@ -11,7 +11,7 @@ import time
 from collections.abc import Iterable
 from operator import methodcaller
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 from weakref import WeakSet
 
 from armctl import errors
@@ -81,8 +81,7 @@ class Protocol:
         """
         if "error" in answer:
             raise error_of(answer["error"])
-        found: Message = answer["result"]
-        return found
+        return cast(Message, answer["result"])
 
 
 def heartbeats(seconds: float, **velocity: object) -> Requests:

@@ -126,11 +126,8 @@ def differences(bus: ServoBus, snapshot: Snapshot) -> list[Difference]:
         present: dict[str, int] = {}
         with suppress(RequestRefused):
             present = read_eeprom(bus, servo.servo_id).registers
-        found += [
-            Difference(servo.servo_id, name, wanted, present.get(name))
-            for name, wanted in servo.registers.items()
-            if present.get(name) != wanted
-        ]
+        rows = [(name, wanted, present.get(name)) for name, wanted in servo.registers.items()]
+        found += [Difference(servo.servo_id, *row) for row in rows if row[1] != row[2]]
     return found
 
 

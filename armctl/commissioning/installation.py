@@ -149,6 +149,7 @@ def installation(
         rules = File(RULES, udev_rules(usb_adapter(Path(port), sysfs)))
     units = {unit: File(SYSTEMD / unit, unit_text(unit, prefix)) for unit in (*UNITS, *DERIVED)}
     made = {kind: File(_configuration(kind), template(f"{kind}.conf")) for kind in CONFIGURED}
+    seen = ("udevadm", "trigger", "--action=add", "--subsystem-match=tty", "--subsystem-match=usb-serial")
     join, enable = ("usermod", "--append", "--groups", "armctl", user), ("systemctl", "enable", "armctl.service")
 
     def changed(*files: File) -> Callable[[], bool]:
@@ -169,9 +170,7 @@ def installation(
         calibration,
         rules,
         Run(("udevadm", "control", "--reload"), when=heard),
-        Run(
-            ("udevadm", "trigger", "--action=add", "--subsystem-match=tty", "--subsystem-match=usb-serial"), when=heard
-        ),
+        Run(seen, when=heard),
         *([Run(join, when=lambda: not _belongs(user))] if user else []),
         *units.values(),
         Run(("systemctl", "daemon-reload"), when=changed(*units.values())),

@@ -178,7 +178,9 @@ class _Line:
 
     def candidates(self, nominal_s: float) -> Candidates:
         """The recordings at as many stations as a motion of that duration has; blends too where genes may be free."""
-        some = align(self._recordings, self._arm, self._chain, *self._ends, _stations(nominal_s, self._request.via))
+        fewest = max(STATIONS_PER_S * nominal_s, FEWEST_STATIONS, max(self._request.via, default=0) + 2)
+        stations = round(min(fewest, MOST_STATIONS))
+        some = align(self._recordings, self._arm, self._chain, *self._ends, stations)
         return with_blends(some, self._arm, self._chain, *self._ends) if self._request.free else some
 
     def cost(self, some: Candidates, nominal_s: float) -> PathCost:
@@ -258,10 +260,6 @@ def _least_duration_s(kept: Callable[[float], bool], begin_s: float) -> float | 
         middle = (low + high) // 2
         low, high = (low, middle) if kept(middle / 10.0) else (middle, high)
     return high / 10.0
-
-
-def _stations(duration_s: float, via: Sequence[int]) -> int:
-    return round(min(max(STATIONS_PER_S * duration_s, FEWEST_STATIONS, max(via, default=0) + 2), MOST_STATIONS))
 
 
 def _refuse_below_floor(arm: ArmConfig, A: FloatArray, B: FloatArray) -> None:

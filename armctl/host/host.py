@@ -347,10 +347,9 @@ class Host:
 
     def commanded_joints(self, what: str) -> tuple[float, ...]:
         """Where the joints of a holding arm are wanted now [rad]."""
-        latest = self.latest
-        if self.exchange.pid is None or latest is None:
+        if self.exchange.pid is None or self.latest is None:
             raise restarting()
-        now = latest.outputs
+        now = self.latest.outputs
         if now.mode is not Mode.HOLDING:
             why = ADVICE[now.mode].format(fault=now.fault and now.fault.code)
             raise IllegalTransition(f"{what} is not possible while {now.mode.value}: {why}")

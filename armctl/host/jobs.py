@@ -156,14 +156,13 @@ def load_takes(arm: ArmConfig, paths: Sequence[Path]) -> list[recordings.Recordi
         RequestRefused: code FOREIGN_LOG, a recording is another arm's; names each.
     """
     loaded = [recordings.load(path) for path in paths]
-    foreign = [
-        f"recording {recording.name} was made with arm {recording.arm_id}, calibration {recording.calibration_hash}; "
-        f"this is {arm.arm_id}, {arm.calibration_hash}"
-        for recording in loaded
-        if (recording.arm_id, recording.calibration_hash) != (arm.arm_id, arm.calibration_hash)
-    ]
-    if foreign:
-        raise RequestRefused("FOREIGN_LOG", foreign)
+    if foreign := [one for one in loaded if (one.arm_id, one.calibration_hash) != (arm.arm_id, arm.calibration_hash)]:
+        this = f"this is {arm.arm_id}, {arm.calibration_hash}"
+        made = (
+            f"recording {one.name} was made with arm {one.arm_id}, calibration {one.calibration_hash}"
+            for one in foreign
+        )
+        raise RequestRefused("FOREIGN_LOG", [f"{one}; {this}" for one in made])
     return loaded
 
 
@@ -195,9 +194,7 @@ def optimize_task(job: OptimizeJob, progress: Progress) -> dict[str, Any]:
         raise RequestRefused("LIMITS", f"{what} in {request.duration_s:g} s; {remedy}")
     ga, exact, free = result.ga, result.exact, result.free
     return {
-        "baseline": [
-            {"name": recording.name, **asdict(error)} for recording, error in zip(loaded, result.baseline, strict=True)
-        ],
+        "baseline": [{"name": take.name, **asdict(error)} for take, error in zip(loaded, result.baseline, strict=True)],
         "best_take_mm": min(error.mean_error_mm for error in result.baseline),
         "ga": {
             **named(ga.path, "mean_error_mm", "max_error_mm"),

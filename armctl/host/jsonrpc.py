@@ -96,7 +96,7 @@ def strict_json(line: bytes) -> object:
         raise ProtocolError(PARSE_ERROR, f"the line is {len(line)} bytes long; {MAX_LINE_BYTES} are allowed")
     try:
         message = json.loads(
-            line.decode("utf-8"), object_pairs_hook=_object_once, parse_float=_finite, parse_constant=_no_constant
+            line.decode("utf-8"), object_pairs_hook=_object_once, parse_float=_finite, parse_constant=_no_nan
         )
     except (ValueError, RecursionError) as error:
         text = "nested too deeply" if isinstance(error, RecursionError) else str(error)
@@ -127,7 +127,7 @@ def _finite(text: str) -> float:
     return value
 
 
-def _no_constant(text: str) -> NoReturn:
+def _no_nan(text: str) -> NoReturn:
     raise ValueError(f"{text} is not a number")
 
 
@@ -170,12 +170,7 @@ def notification_line(method: str, params: dict[str, Any]) -> bytes:
     return encode({"jsonrpc": "2.0", "method": method, "params": params})
 
 
-_CODES: dict[type[ArmctlError], str] = {
-    ConfigError: "CONFIG",
-    LogError: "LOG",
-    NoDaemon: "NO_DAEMON",
-    UnreachableTarget: "UNREACHABLE",
-}
+_CODES = {ConfigError: "CONFIG", LogError: "LOG", NoDaemon: "NO_DAEMON", UnreachableTarget: "UNREACHABLE"}
 
 
 def error_data(error: ArmctlError) -> dict[str, Any]:

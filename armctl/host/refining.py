@@ -91,11 +91,9 @@ class _Runs:
                 return measured(name, done)
             if self.work is not None:
                 self.work.lost()
-        raise RequestRefused(
-            "DISTURBED",
-            f"the run took {result['duration_s']:.2f} s instead of {wanted_s:.2f} s: it was paused, or servos "
-            "miss readings and the arm waits for them; see `armctl doctor`",
-        )
+        why = "it was paused, or servos miss readings and the arm waits for them; see `armctl doctor`"
+        took = f"the run took {result['duration_s']:.2f} s instead of {wanted_s:.2f} s"
+        raise RequestRefused("DISTURBED", f"{took}: {why}")
 
     def tell(self, row: dict[str, Any]) -> None:
         self.lease.client.notify("progress", {"runs": self.runs, "of": self.most, "round": row})

@@ -144,14 +144,7 @@ def solve(
 
 
 def answer(
-    robot: Robot,
-    target: Target,
-    q: FloatArray,
-    present: FloatArray,
-    limits: FloatArray,
-    *,
-    least: float,
-    polish: bool = True,
+    robot: Robot, target: Target, q: FloatArray, present: FloatArray, limits: FloatArray, *, least: float, polish: bool
 ) -> Answer:
     """Configurations, shape (k, n), judged, polished and sorted; `least` is the least distance [m]."""
     q = within_a_turn(q, limits)

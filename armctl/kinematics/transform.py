@@ -92,9 +92,7 @@ def matrix_from_rpy(roll: float, pitch: float, yaw: float) -> FloatArray:
     )
 
 
-def pose_from_xyz_rpy(
-    x: float, y: float, z: float, roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0
-) -> FloatArray:
+def pose_from_xyz_rpy(x: float, y: float, z: float, roll: float = 0, pitch: float = 0, yaw: float = 0) -> FloatArray:
     """Pose at a point [m] with the rotation of `matrix_from_rpy`, shape (4, 4)."""
     T = np.eye(4)
     T[:3, :3] = matrix_from_rpy(roll, pitch, yaw)

@@ -94,8 +94,6 @@ def too_heavy(rig: Rig, model: LagModel | None, plan: Plan) -> str:
     if (most <= allowed).all():
         return ""
     worst = int((most / allowed).argmax())
-    return (
-        f"{rig.arm.joints[worst].name} would stay {np.degrees(most[worst]):.1f} deg behind its goal on the line or the "
-        f"way there, at most {np.degrees(allowed[worst]):.1f} deg; move the line nearer to the base, or make the tool "
-        "lighter"
-    )
+    name, behind_deg, allowed_deg = rig.arm.joints[worst].name, *np.degrees([most[worst], allowed[worst]])
+    text = f"{name} would stay {behind_deg:.1f} deg behind its goal on the line or the way there"
+    return f"{text}, at most {allowed_deg:.1f} deg; move the line nearer to the base, or make the tool lighter"

@@ -45,11 +45,9 @@ class Picture(NamedTuple):
     draw: Callable[[], Figure]
 
 
-def pictures(
-    names: Iterable[str], title: str, description: str, draw: Callable[..., Figure], *of: Any
-) -> list[Picture]:
-    """One picture for each name: the name fills in title and description, and is what `draw` draws of `of`."""
-    return [Picture(title.format(name), description.format(name), partial(draw, *of, name)) for name in names]
+def pictures(names: Iterable[str], title: str, words: str, draw: Callable[..., Figure], *of: Any) -> list[Picture]:
+    """One picture for each name: the name fills in title and words, and is what `draw` draws of `of`."""
+    return [Picture(title.format(name), words.format(name), partial(draw, *of, name)) for name in names]
 
 
 class PaperReport(NamedTuple):
@@ -91,11 +89,9 @@ def error(quantity: str, printed: float, armctl: float, unit: str, *, why: str) 
     return Row(quantity, printed, armctl, unit, verdict)
 
 
-def claim(
-    quantity: str, printed: str, armctl: float | str, holds: bool, *, unit: str = "", why: str = "misprint"
-) -> Row:
+def claim(what: str, printed: str, armctl: float | str, holds: bool, *, unit: str = "", why: str = "misprint") -> Row:
     """A statement in a paper's words: equal if it holds, else `why` it does not."""
-    return Row(quantity, printed, armctl, unit, "equal" if holds else why)
+    return Row(what, printed, armctl, unit, "equal" if holds else why)
 
 
 def unprinted(quantity: str, armctl: float | str, unit: str = "") -> Row:

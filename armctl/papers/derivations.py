@@ -59,15 +59,11 @@ def _pose(names: Sequence[str] = NAMES) -> Any:
 
 def derived(paper: str) -> dict[str, Cells]:
     """Every derived equation of a paper: those below, and `derived.yaml`."""
-    by_hand = {
-        number: [[_by_hand(cell.strip()) for cell in line.split("|")] for line in lines.splitlines()]
-        for number, lines in written("derived.yaml")[paper].items()
-    }
+    by_hand: dict[str, Cells] = {}
+    for number, lines in written("derived.yaml")[paper].items():
+        rows = [map(str.strip, line.split("|")) for line in lines.splitlines()]
+        by_hand[number] = [[cell[1:-1] if cell.startswith('"') else read(cell) for cell in row] for row in rows]
     return DERIVED[paper]() | by_hand
-
-
-def _by_hand(cell: str) -> Any:
-    return cell[1:-1] if cell.startswith('"') else read(cell)
 
 
 def _xiang() -> dict[str, Cells]:
@@ -119,11 +115,8 @@ def _lanzhou() -> dict[str, Cells]:
     a2, a3, a4, a5, d1, d2 = (symbol(name) for name in ("a2", "a3", "a4", "a5", "d1", "d2"))
     rows = ((0, 0, d1), (a2, -QUARTER, d2), (a3, 0, 0), (a4, 0, 0))
     A = [about_x(alpha, a) * about_z(theta, d) for theta, (a, alpha, d) in zip(THETA, rows, strict=False)]
-    return {
-        "(1)": LINK_AFTER.tolist(),
-        "(2), names": _pose().tolist(),
-        "(2)": (A[0] * _product(*A[1:], about_x(0, a5))).tolist(),
-    }
+    T = A[0] * _product(*A[1:], about_x(0, a5))
+    return {"(1)": LINK_AFTER.tolist(), "(2), names": _pose().tolist(), "(2)": T.tolist()}
 
 
 def _transfer() -> dict[str, Cells]:

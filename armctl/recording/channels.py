@@ -66,12 +66,11 @@ class Topic(NamedTuple):
         """Channel metadata: the quality of service rosbag2 offers when it plays the file."""
         depth, durability = (1, 1) if self.latched else (10, 2)  # transient_local, volatile
         forever = "{sec: 9223372036, nsec: 854775807}"
-        profile = (
-            f"- history: 1\n  depth: {depth}\n  reliability: 1\n  durability: {durability}\n"
-            f"  deadline: {forever}\n  lifespan: {forever}\n  liveliness: 1\n"
-            f"  liveliness_lease_duration: {forever}\n  avoid_ros_namespace_conventions: false\n"
+        kept = f"- history: 1\n  depth: {depth}\n  reliability: 1\n  durability: {durability}\n"
+        times = (
+            f"  deadline: {forever}\n  lifespan: {forever}\n  liveliness: 1\n  liveliness_lease_duration: {forever}\n"
         )
-        return {"offered_qos_profiles": profile}
+        return {"offered_qos_profiles": f"{kept}{times}  avoid_ros_namespace_conventions: false\n"}
 
 
 # Every channel of a log, registered at the start of each file whether used or not.

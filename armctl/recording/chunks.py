@@ -55,7 +55,6 @@ class ChunkWriter:
 
     def __init__(self, stream: BinaryIO, *, level: int = LEVEL, chunk_bytes: int = CHUNK_BYTES) -> None:
         self._stream, self._chunk_bytes = stream, chunk_bytes
-        self._pack = MESSAGE.pack
         self._compress = zstandard.ZstdCompressor(level=level).compress
         # Bytes written so far.
         self.offset = 0
@@ -100,7 +99,7 @@ class ChunkWriter:
         """One message; its log and publish times are the same."""
         body = self._body
         self._entries[channel_id].extend((time_ns, len(body)))
-        body += self._pack(MESSAGE_OPCODE, len(data) + 22, channel_id, sequence, time_ns, time_ns)
+        body += MESSAGE.pack(MESSAGE_OPCODE, len(data) + 22, channel_id, sequence, time_ns, time_ns)
         body += data
         if len(body) > self._chunk_bytes:
             self.end_chunk()

@@ -216,10 +216,8 @@ def tables(name: str, messages: Mapping[str, str], payloads: Payloads) -> tuple[
 class _Walk:
     """One way through a type, for messages of one shape."""
 
-    def __init__(
-        self, name: str, messages: Mapping[str, str], buffer: bytes, starts: IntArray, sizes: IntArray
-    ) -> None:
-        self._name, self._messages, self._buffer = name, messages, buffer
+    def __init__(self, name: str, messages: Mapping[str, str], data: bytes, starts: IntArray, sizes: IntArray) -> None:
+        self._name, self._messages, self._buffer = name, messages, data
         self._starts, self._sizes, self._least = starts, sizes, int(sizes.min())
         self._stride = self._least if (sizes == self._least).all() and (np.diff(starts) == self._least).all() else 0
         self._columns: dict[str, Column | Texts] = {}
@@ -298,9 +296,7 @@ class _Walk:
         if isinstance(at, int) and self._stride:
             return np.ndarray((n, count), dtype, self._buffer, int(self._starts[0]) + at, (self._stride, size)).copy()
         places = np.ndarray((len(self._buffer) - size + 1,), dtype, self._buffer, 0, (1,))
-        first: IntArray = self._starts + at
-        column: Column = places[first[:, None] + np.arange(0, size * count, size)]
-        return column
+        return np.asarray(places[(self._starts + at)[:, None] + np.arange(0, size * count, size)])
 
 
 def _aligned(at: _At, size: int) -> _At:

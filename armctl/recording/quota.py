@@ -127,17 +127,15 @@ def ages_s(logs: Sequence[StoredLog], max_age_s: float) -> list[float]:
     return ages[: len(logs)][::-1]
 
 
-def surplus(
-    logs: Sequence[StoredLog], limits: LogConfig, free_bytes: int, more_bytes: int = 0
-) -> tuple[StoredLog, ...]:
+def surplus(logs: Sequence[StoredLog], limits: LogConfig, free_bytes: int, more: int = 0) -> tuple[StoredLog, ...]:
     """Which logs have to go, oldest first.
 
     Args:
         logs: Oldest first.
         free_bytes: What is free on their disk now.
-        more_bytes: What else counts: parts, and the file being written.
+        more: What else counts [bytes]: parts, and the file being written.
     """
-    total = sum(log.size_bytes for log in logs) + more_bytes
+    total = sum(log.size_bytes for log in logs) + more
     gone: list[StoredLog] = []
     for log, age_s in zip(logs[:-KEPT], ages_s(logs, limits.max_age_s), strict=False):
         too_old = 0.0 < limits.max_age_s < age_s

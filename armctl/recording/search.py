@@ -110,11 +110,10 @@ def stats(index: Index, period: str) -> list[Row]:
     `change`: slope of each figure over the joint's periods, a period, by least squares; None of fewer than three.
     """
     selected = ", ".join(f"{of}({name}) AS {name}" for name, of in zip(FIGURES, _OF_A_PERIOD, strict=True))
-    rows = index.ask(
-        f"SELECT arm_id, joint, servo_id, CAST(time_s / ? AS INTEGER) AS period, count(*) / 60.0 AS hours, {selected} "
-        "FROM served GROUP BY arm_id, servo_id, joint, period ORDER BY arm_id, servo_id, period",
-        [PERIODS_S[period]],
-    )
+    periods = "CAST(time_s / ? AS INTEGER) AS period, count(*) / 60.0 AS hours"
+    grouped = "GROUP BY arm_id, servo_id, joint, period ORDER BY arm_id, servo_id, period"
+    query = f"SELECT arm_id, joint, servo_id, {periods}, {selected} FROM served {grouped}"
+    rows = index.ask(query, [PERIODS_S[period]])
     joints: dict[tuple[Any, ...], list[Row]] = {}
     for row in rows:
         joints.setdefault((row["arm_id"], row["servo_id"]), []).append(row)

@@ -148,11 +148,8 @@ def bent(on: Driven, plan: Plan, point: int, to_m: Sequence[float]) -> Plan:
 
 def sent_rad(arm: ArmConfig, goals_rad: FloatArray) -> FloatArray:
     """What the servos are really sent: goals in whole ticks, as angles [rad], shape (m, joints)."""
-    columns = [
-        [joint.position_rad(round(joint.tick(x))) for x in goals_rad[:, i]]
-        for i, joint in enumerate(arm.joints[: goals_rad.shape[1]])
-    ]
-    return np.array(columns).T
+    columns = zip(arm.joints, goals_rad.T, strict=False)
+    return np.array([[joint.position_rad(round(joint.tick(x))) for x in goals] for joint, goals in columns]).T
 
 
 def plan_goals_rad(on: Driven, plan: Plan) -> FloatArray:

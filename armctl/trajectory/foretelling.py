@@ -101,15 +101,13 @@ def output(stretches: Stretches, error_tick: FloatArray) -> FloatArray:
     return np.asarray(np.sign(error_tick) * (low + (np.abs(error_tick) - whole) * (high - low)))
 
 
-def foretold(
-    stretches: Stretches, weights: FloatArray, motor: Motor, place: FloatArray | float | None = None
-) -> FloatArray:
+def foretold(one: Stretches, weights: FloatArray, motor: Motor, place: FloatArray | float | None = None) -> FloatArray:
     """What is to be seen at the ends, as `Stretches.seen`.
 
     Args:
         place: Where in its tick each shaft begins; None: the mean over all places.
     """
-    one, dt = stretches, stretches.length_s / STEPS
+    dt = one.length_s / STEPS
     sees: Callable[[FloatArray], FloatArray] = np.asarray if place is None else np.rint
     begin = one.shaft_tick if place is None else one.whole_tick + place
     x, ramp, v = begin, one.ramp_tick, one.velocity_rad_s

@@ -56,7 +56,7 @@ def line_paths(on: Driven, line: Line, rng: np.random.Generator, *, most: int) -
     limits = np.array([joint.limits_rad for joint in arm.joints[: chain.n]]) + np.array([MARGIN_RAD, -MARGIN_RAD])
     progress = np.linspace(0.0, 1.0, STATIONS)
     on_line = A + progress[:, None] * (B - A)
-    ends = [_postures(chain, X, limits, rng) for X in (A, B)]
+    ends = [q[missed < REACHED_M] for q, missed in (near_point(chain, X, limits, rng) for X in (A, B))]
     if min(map(len, ends)) == 0:
         raise RequestRefused("LINE", _out_of_reach(chain, limits, A, B, arm.floor_m, rng))
     first, last = (end[rng.integers(0, len(end), PAIRS)] for end in ends)
@@ -165,11 +165,6 @@ def near_point(
     return onto(chain, np.broadcast_to(point, (POSTURES, 3)), q, limits, 60)
 
 
-def _postures(chain: SerialChain, point: FloatArray, limits: FloatArray, rng: np.random.Generator) -> FloatArray:
-    q, missed = near_point(chain, point, limits, rng)
-    return q[missed < REACHED_M]
-
-
 def _out_of_reach(
     chain: SerialChain, limits: FloatArray, A: FloatArray, B: FloatArray, floor_m: float, rng: np.random.Generator
 ) -> Sequence[str]:
@@ -202,7 +197,8 @@ def out_of_reach(
 
 def _followed(chain: SerialChain, limits: FloatArray, a: FloatArray, b: FloatArray, rng: np.random.Generator) -> bool:
     """Whether some posture at `a` leads along the line to `b`."""
-    q = _postures(chain, a, limits, rng)
+    q, missed = near_point(chain, a, limits, rng)
+    q = q[missed < REACHED_M]
     alive = np.ones(len(q), dtype=bool)
     for point in a + np.linspace(0.0, 1.0, STATIONS)[:, None] * (b - a):
         q, missed = onto(chain, np.broadcast_to(point, (len(q), 3)), q, limits, 8)

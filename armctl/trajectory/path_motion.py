@@ -229,9 +229,7 @@ def path_seen(request: PathRequest, motion: PathMotion, run: Measured, on: Drive
     return PathSeen(wanted, lag, float(np.sqrt(np.square(off_m).mean())) * 1e3)
 
 
-def relearnt(
-    request: PathRequest, motion: PathMotion, runs: Sequence[PathSeen], on: Driven, gain: float
-) -> PathRequest:
+def relearnt(last: PathRequest, motion: PathMotion, runs: Sequence[PathSeen], on: Driven, gain: float) -> PathRequest:
     """The path with a share of the lag that all its runs showed on the average added to its joints."""
     lasts_s, wanted = motion.trajectory.end_s - motion.trajectory.begin_s, runs[0].wanted_rad
     rows = min(math.ceil(lasts_s / SHIFT_S) + 1, MOST_SHIFTS // wanted.shape[1])
@@ -241,7 +239,7 @@ def relearnt(
     shift = (grown * columns_at(u, np.linspace(0.0, 1.0, len(lag)), lag)).round(DECIMALS).tolist()
     begin_rad, of = tuple(wanted[0].tolist()), {"arm_id": on.arm.arm_id, "calibration_hash": on.arm.calibration_hash}
     learnt = Learnt(begin_rad=begin_rad, shift_rad=tuple(map(tuple, shift)), **of)
-    return request.model_copy(update={"learnt": learnt, "duration_s": lasts_s})
+    return last.model_copy(update={"learnt": learnt, "duration_s": lasts_s})
 
 
 def _told(outline: Outline, progress: tuple[FloatArray, FloatArray]) -> tuple[ReferencePath, FloatArray]:

@@ -180,10 +180,8 @@ class Playback(NamedTuple):
             slower = slower._replace(rate=math.floor(100.0 * slower.rate / over) / 100.0)
         enough = slower.rate >= LOWEST_RATE
         remedy = f"rate {slower.rate:g} would do" if enough else f"even rate {LOWEST_RATE:g} is too fast"
-        return [
-            f"{reason.split('give it a duration')[0]}{remedy}" if "give it a duration" in reason else reason
-            for reason in reasons
-        ]
+        parts = (reason.partition("give it a duration") for reason in reasons)
+        return [f"{why}{remedy}" if asked else why for why, asked, _ in parts]
 
     def _over(self, kept: FloatArray) -> float:
         """How many times too fast it is: a number by which the rate has to be divided."""

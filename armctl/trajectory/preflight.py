@@ -124,14 +124,11 @@ def _against_start(begin: FloatArray, start_rad: Sequence[float] | None, arm: Ar
 
 
 def _against_joints(q: FloatArray, period_s: float, arm: ArmConfig, duration_s: float) -> Iterator[str]:
-    speed, acceleration = np.degrees(peak_rates(q, period_s))
-    for i, joint in enumerate(arm.joints):
-        yield from _against_limits(joint, q[:, i])
-        for asked in (
-            (float(speed[i]), joint.speed_limit_deg_s, "deg/s", 1.0),
-            (float(acceleration[i]), joint.acceleration_limit_deg_s2, "deg/s2", 0.5),
-        ):
-            yield from _too_fast(joint.name, *asked, duration_s)
+    speeds, accelerations = np.degrees(peak_rates(q, period_s)).tolist()
+    for joint, column, fast, sudden in zip(arm.joints, q.T, speeds, accelerations, strict=True):
+        yield from _against_limits(joint, column)
+        yield from _too_fast(joint.name, fast, joint.speed_limit_deg_s, "deg/s", 1.0, duration_s)
+        yield from _too_fast(joint.name, sudden, joint.acceleration_limit_deg_s2, "deg/s2", 0.5, duration_s)
 
 
 def _too_fast(
@@ -139,10 +136,8 @@ def _too_fast(
 ) -> Iterator[str]:
     """What is against a speed, or an acceleration, which falls with the square of the duration (`power` 0.5)."""
     if value > bound * ROUNDING:
-        yield (
-            f"{who} would reach {value:.{digits}f} {unit}, at most {bound:.{digits}f} {unit}; "
-            f"give it a duration of {duration_s * (value / bound) ** power:.1f} s or more"
-        )
+        reached = f"{who} would reach {value:.{digits}f} {unit}, at most {bound:.{digits}f} {unit}"
+        yield f"{reached}; give it a duration of {duration_s * (value / bound) ** power:.1f} s or more"
 
 
 def _against_limits(joint: JointConfig, column: FloatArray) -> Iterator[str]:

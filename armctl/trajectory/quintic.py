@@ -16,6 +16,9 @@ from armctl.kinematics.chain import SerialChain, tool_position
 from armctl.kinematics.differential import tool_acceleration, tool_velocity
 from armctl.kinematics.transform import FloatArray
 
+# Of every joint, or the same of all.
+Rate = FloatArray | float
+
 
 class Quintic(NamedTuple):
     """Coefficients of every joint, shape (6, n), over the fraction of the duration [s]."""
@@ -53,14 +56,7 @@ class Curves(NamedTuple):
 
 
 def quintic(
-    q0: FloatArray,
-    q1: FloatArray,
-    duration_s: float,
-    *,
-    v0: FloatArray | float = 0.0,
-    v1: FloatArray | float = 0.0,
-    a0: FloatArray | float = 0.0,
-    a1: FloatArray | float = 0.0,
+    q0: FloatArray, q1: FloatArray, duration_s: float, *, v0: Rate = 0.0, v1: Rate = 0.0, a0: Rate = 0.0, a1: Rate = 0.0
 ) -> Quintic:
     """The trajectory from q0 to q1 [rad], shape (n,), with boundary velocities [rad/s] and accelerations [rad/s^2].
 

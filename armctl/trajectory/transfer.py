@@ -140,17 +140,15 @@ def _reversed(piece: Quintic) -> Quintic:
     return Quintic(np.array(powers) @ piece.coefficients, piece.duration_s)
 
 
-def _lift(
-    station_m: FloatArray, near: FloatArray, cycle: TransferRequest, arm: ArmConfig, robot: Robot
-) -> list[Quintic]:
+def _lift(at_m: FloatArray, near: FloatArray, cycle: TransferRequest, arm: ArmConfig, robot: Robot) -> list[Quintic]:
     """From over a station, as near to `near` as there is, straight down onto it."""
     duration_s = cycle.lift_s / LIFT_PIECES
-    top = station_m + np.array([0.0, 0.0, cycle.height_m])
+    top = at_m + np.array([0.0, 0.0, cycle.height_m])
     ends: list[tuple[FloatArray, FloatArray, FloatArray]] = []
     for tau in np.linspace(0.0, 1.0, LIFT_PIECES + 1).tolist():
         speed = 30.0 * tau**2 * (1.0 - tau) ** 2 / cycle.lift_s
         change = 60.0 * tau * (1.0 - tau) * (1.0 - 2.0 * tau) / cycle.lift_s**2
-        place = top + tau**3 * (tau * (6.0 * tau - 15.0) + 10.0) * (station_m - top)
+        place = top + tau**3 * (tau * (6.0 * tau - 15.0) + 10.0) * (at_m - top)
         there = _paw_down(place, near, arm, robot)[0]
         if tau > 0.0 and np.abs(there - near).max() > JUMP_RAD:
             x, y, z = place.tolist()

@@ -143,9 +143,7 @@ def draws(coding: Coding, individuals: int, mutation_probability: float) -> int:
     return individuals + 2 * (individuals // 2) + round(mutation_probability * individuals * coding.length)
 
 
-def offspring(
-    coding: Coding, words: Words, fitness: FloatArray, chance: FloatArray, crossover_probability: float
-) -> Words:
+def offspring(coding: Coding, words: Words, fitness: FloatArray, chance: FloatArray, crossover: float) -> Words:
     """The next generation: roulette, crossover of neighbours, flipped bits.
 
     Args:
@@ -156,7 +154,7 @@ def offspring(
     size, pairs = words.shape[1], words.shape[1] // 2
     drawn, crossing, cut, place = np.split(chance, np.cumsum([size, pairs, pairs]), axis=1)
     chosen = words[np.arange(len(words))[:, None], roulette(fitness, drawn)]
-    return mutate(coding, cross(coding, chosen, crossing, cut, crossover_probability), place)
+    return mutate(coding, cross(coding, chosen, crossing, cut, crossover), place)
 
 
 def mutate(coding: Coding, words: Words, place: FloatArray) -> Words:

@@ -61,13 +61,9 @@ def over_seeds(rows: Sequence[Row], cases: Sequence[Case], *_: object) -> list[R
     result, repeats = [], cases[0].repeats
     for begin in range(0, len(rows), repeats):
         some = rows[begin : begin + repeats]
-        errors = np.array([row["mean_error_mm"] for row in some])
+        means = np.array([row["mean_error_mm"] for row in some])
         told: Row = {name: some[0][name] for name in (*VARIED, "exact_mean_error_mm")}
         told |= {name: float(np.mean([row[name] for row in some])) for name in ("gap_ratio", "settled_generation")}
-        told |= {
-            "mean_error_mm": float(errors.mean()),
-            "spread_mm": float(errors.std()),
-            "best_mm": float(errors.min()),
-        }
+        told |= {"mean_error_mm": float(means.mean()), "spread_mm": float(means.std()), "best_mm": float(means.min())}
         result.append(told | {"feasible": sum(row["feasible"] for row in some), "repeats": len(some)})
     return result

@@ -63,9 +63,11 @@ class Workers(NamedTuple):
         try:
             client = distributed.Client(self.scheduler, timeout=CONNECT_S, set_as_default=False)
         except (OSError, ValueError) as error:
+            remedy = (
+                "start one with `dask scheduler` and workers with `dask worker`, with armctl installed where they run"
+            )
             raise ArmctlError(
-                f"no Dask scheduler at {self.scheduler}: {error or type(error).__name__}; start one with `dask "
-                "scheduler` and workers with `dask worker`, with armctl installed where they run"
+                f"no Dask scheduler at {self.scheduler}: {error or type(error).__name__}; {remedy}"
             ) from None
         with client:
             yield client.get_executor(pure=False).map
