@@ -4,6 +4,7 @@ import asyncio
 import itertools
 import json
 import math
+import tomllib
 from pathlib import Path as FilePath
 from typing import Annotated, Any, Literal
 
@@ -32,6 +33,8 @@ from armctl.trajectory.plan import Plan, Point
 from armctl.trajectory.program import program_from_text
 from armctl.web.connections import Connections
 
+# By method and path the function of `Files` that answers.
+ROUTES: dict[str, str] = tomllib.loads(FilePath(__file__).with_name("files.toml").read_text("utf-8"))
 # Of what is found in the logs, so many are shown, the newest.
 MOST_FOUND = 200
 NamePath = Annotated[str, Path(pattern=NAME_PATTERN)]
@@ -90,22 +93,9 @@ class Files:
     def routes(self) -> APIRouter:
         """Every route. What does not await is run in a thread by the framework: files are read there."""
         router = APIRouter()
-        for method, path, handler in (
-            ("GET", "/arm", self.arm_),
-            ("POST", "/optimize", self.optimize),
-            ("POST", "/plans/{name}/run", self.run),
-            ("POST", "/plans/{name}/bend", self.bend),
-            ("POST", "/program/{what}", self.program),
-            ("GET", "/hand", self.seen),
-            ("POST", "/hand", self.hand),
-            ("POST", "/hand/hold", self.hold),
-            ("POST", "/hand/let-go", self.let_go),
-            ("GET", "/logs", self.list_logs),
-            ("GET", "/logs/find", self.find),
-            ("GET", "/logs/{name}", self.log),
-            ("GET", "/logs/{name}/file", self.log_file),
-        ):
-            router.add_api_route(path, handler, methods=[method])
+        for route, handler in ROUTES.items():
+            method, path = route.split()
+            router.add_api_route(path, getattr(self, handler), methods=[method])
         return router
 
     def arm_(self) -> dict[str, Any]:

@@ -14,7 +14,9 @@ Rules.
 import contextlib
 import json
 import time
+import tomllib
 from contextvars import ContextVar
+from pathlib import Path
 
 from starlette.datastructures import MutableHeaders
 from starlette.requests import ClientDisconnect, Request
@@ -31,23 +33,8 @@ WRONG_RATE = 5.0
 WRONG_BURST = 50.0
 # Whose request is being served.
 PERSON: ContextVar[str] = ContextVar("person", default="")
-HEADERS = {
-    "content-security-policy": (
-        "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; "
-        "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
-    ),
-    "x-content-type-options": "nosniff",
-    "referrer-policy": "no-referrer",
-    "cross-origin-opener-policy": "same-origin",
-    "cross-origin-resource-policy": "same-origin",
-    "cache-control": "no-store",
-}
-
-
-NO_TOKEN = (
-    "the token is missing or wrong; open the address that `armctl web` printed (of the service it stands in "
-    "/run/armctl-web/address), or get a token of your own: `armctl web token add NAME`"
-)
+_SAID = tomllib.loads(Path(__file__).with_name("guard.toml").read_text("utf-8"))
+HEADERS: dict[str, str] = _SAID["headers"]
 
 
 class Refused(Exception):
@@ -119,7 +106,7 @@ class Guard:
             return person
         if not self._wrong.take(time.monotonic()):
             raise Refused(429, "RATE_LIMIT", "too many wrong tokens; wait")
-        raise Refused(401, "NO_TOKEN", NO_TOKEN)
+        raise Refused(401, "NO_TOKEN", _SAID["no_token"])
 
     def _checked(self, headers: dict[str, str], scope: Scope) -> Person:
         person = self.let_in(headers.get(TOKEN_HEADER, ""))
