@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import click
 
 from armctl.cli.output import ARM, CONFIG, HOLDS, SOCKET, Output, command
+from armctl.cli.parameters import tables
 from armctl.cli.tables import below, show_rows
 from armctl.errors import ConfigError
 
@@ -21,15 +21,7 @@ def experiment_command() -> None:
 
 
 @command("line", SOCKET, CONFIG, ARM, group=experiment_command)
-def line_command(
-    output: Output,
-    virtual: bool,
-    period_s: float | None,
-    geometry: str | None,
-    age: str | None,
-    spec_file: Path | None,
-    **asked: Any,
-) -> None:
+def line_command(output: Output, virtual: bool, **asked: Any) -> None:
     """The straight line from A to B with so many intermediate points: before and after correction.
 
     Every plan is run as it is, then with what the arm's sag model predicts, then corrected by what was measured, and
@@ -42,17 +34,14 @@ def line_command(
     from armctl.lab.rig import DaemonRig
     from armctl.sim.twin import load_twin
 
-    for option, value, why in (
-        ("--period", period_s, "the daemon's period is in its configuration"),
-        ("--geometry", geometry, "the daemon's arm is as it was put together"),
-        ("--age", age, "the daemon's servos are as old as they are"),
-        ("--spec", spec_file, "the daemon's arm is the one that it was made of"),
-    ):
-        if value is not None and not virtual:
+    for option, (name, why) in tables("experiment")["virtual"].items():
+        if asked[name] is not None and not virtual:
             raise ConfigError("armctl experiment", option, why, "leave it out")
     config, arm = output.config, output.arm
+    period_s, spec_file = asked.pop("period_s"), asked.pop("spec_file")
     twin = None if spec_file is None else load_twin(spec_file, arm)
-    wanted = Asked(**asked, geometry=geometry or "perfect", age=age or "new", twin=twin)
+    asked |= {"geometry": asked["geometry"] or "perfect", "age": asked["age"] or "new"}
+    wanted = Asked(**asked, twin=twin)
     if virtual:
         result = on_virtual_arm(arm, wanted, period_s or config.period_s, config, output.progress)
     else:

@@ -17,12 +17,7 @@ if TYPE_CHECKING:
 
 @command("identify", SOCKET, CONFIG)
 def identify_command(
-    output: Output,
-    joints: str | None,
-    quick: bool,
-    report: Path | None,
-    from_logs: tuple[Path, ...],
-    more: tuple[str, ...],
+    output: Output, joints: str | None, quick: bool, report: Path | None, logs: tuple[Path, ...], more: tuple[str, ...]
 ) -> None:
     """Find friction, slope, play and delay of each joint: the daemon moves one after the other, about five minutes.
 
@@ -39,14 +34,14 @@ def identify_command(
     from armctl.report import identified
     from armctl.trajectory.identification import QUANTITIES, Trace, identify
 
-    if more and not from_logs and joints is None:
+    if more and not logs and joints is None:
         raise ConfigError("armctl identify", more[0], "belongs to no option", "name it behind --from-logs or --joints")
-    if from_logs:
-        from_logs += tuple(map(Path, more))
-        logs = [lab.read(path) for path in from_logs]
-        arm, traces = logs[0][0], [trace for _, trace in logs]
+    if logs:
+        logs += tuple(map(Path, more))
+        told = [lab.read(path) for path in logs]
+        arm, traces = told[0][0], [trace for _, trace in told]
         own = (arm if quick else load_arm(output.config.arm)).arm_id
-        if others := [path for path, (other, _) in zip(from_logs, logs, strict=True) if other.arm_id != own]:
+        if others := [path for path, (other, _) in zip(logs, told, strict=True) if other.arm_id != own]:
             remedy = "leave it out, or name a configuration of that arm by --config"
             raise ConfigError("armctl identify", "--from-logs", f"{others[0]} is of another arm than {own}", remedy)
     else:

@@ -45,7 +45,10 @@ class TerminalKeys:
         if self._fd is None or not _in_foreground(self._fd):
             time.sleep(timeout_s)
             return ""
-        self._one_by_one(self._fd)
+        mode = termios.tcgetattr(self._fd)
+        if mode[3] & termios.ICANON:  # at first, and once a shell that suspended this process has put its own mode back
+            self._before = mode
+            tty.setcbreak(self._fd, termios.TCSANOW)  # keys come without Enter; it keeps what was pressed meanwhile
         if not self._pressed and select.select([self._fd], [], [], timeout_s)[0]:
             if not _in_foreground(self._fd):  # it was sent to the background while it waited
                 return ""
@@ -53,13 +56,6 @@ class TerminalKeys:
         known = next((sequence for sequence in _ESCAPES if self._pressed.startswith(sequence)), b"")
         key, self._pressed = self._pressed[: len(known) or 1], self._pressed[len(known) or 1 :]
         return _ESCAPES.get(key) or key.decode("ascii", "replace")
-
-    def _one_by_one(self, fd: int) -> None:
-        """Let keys come without Enter. A shell puts its own mode back whenever it suspends this process."""
-        mode = termios.tcgetattr(fd)
-        if mode[3] & termios.ICANON:
-            self._before = mode
-            tty.setcbreak(fd, termios.TCSANOW)  # keeps what was pressed meanwhile
 
     def put_back(self) -> None:
         """Restore the terminal's mode; in the background it is the shell's."""

@@ -27,6 +27,8 @@ STILL_M = 0.004
 SETTLE_S = 0.5
 REST_S = 1.0
 ENTER = frozenset("\r\n")
+# From where to where the tool is to be led; None: anywhere.
+Line = tuple[Point, Point] | None
 
 
 @command("teach", SOCKET)
@@ -103,9 +105,7 @@ class Tool:
     # In which it is followed; None: in all.
     states: Collection[str] | None = ("teaching", "stalled")
 
-    def __init__(
-        self, output: Output, watcher: Client, key: Callable[[], str], line: tuple[Point, Point] | None = None
-    ) -> None:
+    def __init__(self, output: Output, watcher: Client, key: Callable[[], str], line: Line = None) -> None:
         self._output, self._key, self._line = output, key, line
         # Where the take begins; between which shares of the line the tool has been in it, None: it has not begun.
         self._start: Point | None = None
