@@ -109,9 +109,11 @@ def parse_json(text: str, file: str) -> Any:
         raise ConfigError(file, "", f"not JSON: {error}") from None
 
 
-def csv_table(
-    text: str, file: str, needed: Sequence[str], remedy: str
-) -> tuple[list[str], list[tuple[str, dict[str, str]]]]:
+# The place of a row, and its cells by column.
+Cells = tuple[str, dict[str, str]]
+
+
+def csv_table(text: str, file: str, needed: Sequence[str], remedy: str) -> tuple[list[str], list[Cells]]:
     """Header and rows of comma-separated values; of each row its place, and its cells by column. Blank rows count for
     nothing.
 

@@ -125,43 +125,39 @@ class StraightLineResult(NamedTuple):
 
 
 def optimize(
-    recordings: Sequence[FloatArray],
-    arm: ArmConfig,
-    robot: Robot,
-    request: OptimizeRequest,
-    progress: Progress | None = None,
+    takes: Sequence[FloatArray], arm: ArmConfig, robot: Robot, asked: OptimizeRequest, progress: Progress | None = None
 ) -> StraightLineResult:
     """The straightest motions from A to B that the recordings hold.
 
     Args:
-        recordings: Joint positions [rad], each of shape (samples, joints), in the arm's joint order.
+        takes: Joint positions [rad], each of shape (samples, joints), in the arm's joint order.
         progress: Called after each generation.
     Raises:
         RequestRefused: the line or a recording is unfit; `reasons` names all that were found.
     """
-    line = _Line(recordings, arm, robot.chain, request)
-    candidates = line.candidates(request.duration_s)
-    costs = line.cost(candidates, request.duration_s)
+    line = _Line(takes, arm, robot.chain, asked)
+    candidates = line.candidates(asked.duration_s)
+    costs = line.cost(candidates, asked.duration_s)
     table = costs.table()
-    rng = np.random.default_rng(request.seed)
-    genes, best_cost_mm, mean_cost_mm, evaluations = _evolve(costs, len(recordings), request.settings, rng, progress)
+    rng = np.random.default_rng(asked.seed)
+    genes, best_cost_mm, mean_cost_mm, evaluations = _evolve(costs, len(takes), asked.settings, rng, progress)
     found, exact = (line.path(candidates, costs, table, some) for some in (genes, shortest_path(table)))
-    freed = line.freed(found, candidates.progress) if request.free else None
+    freed = line.freed(found, candidates.progress) if asked.free else None
     chosen = freed or found
-    alone, used = costs.distance_m.T[: len(recordings)] * 1e3, candidates.takes[found.genes]
+    alone, used = costs.distance_m.T[: len(takes)] * 1e3, candidates.takes[found.genes]
     return StraightLineResult(
         candidates=candidates,
         baseline=tuple(
             TakeError(float(row.mean()), float(row.max()), int((used == take).any(axis=1).sum()))
             for take, row in enumerate(alone)
         ),
-        ga=GeneticRun(found, request.settings.generations, evaluations, best_cost_mm, mean_cost_mm),
+        ga=GeneticRun(found, asked.settings.generations, evaluations, best_cost_mm, mean_cost_mm),
         exact=exact,
         # A recording that is perfect leaves nothing to divide by: a nanometre stands for it.
         gap_ratio=(found.cost_mm - exact.cost_mm) / max(exact.cost_mm, 1e-6),
         free=freed,
-        plans=tuple(line.plan(chosen.positions_rad, candidates.progress, count) for count in request.via),
-        least_duration_s=None if chosen.feasible else _least_duration_s(line.kept, request.duration_s),
+        plans=tuple(line.plan(chosen.positions_rad, candidates.progress, count) for count in asked.via),
+        least_duration_s=None if chosen.feasible else _least_duration_s(line.kept, asked.duration_s),
     )
 
 

@@ -46,6 +46,10 @@ STALE_NS = 300_000_000
 # What is stopped when its client leaves: also a jog, whose last heartbeat may be under way.
 MOVING = ("run", "path", "play", "move", "park", "reach", "grip", "transfer", "program", "jog", "jogging")
 
+# What a log is told beside a motion; the name of its recording, and its legs.
+Note = dict[str, Any] | None
+Recorded = tuple[str, list[Done]]
+
 logger = logging.getLogger(__name__)
 
 
@@ -259,9 +263,7 @@ class Host:
             self.leases.keep(client, "jogging")
         return self.state()
 
-    async def execute(
-        self, client: Client, what: str, legs: Sequence[Leg], note: dict[str, Any] | None = None
-    ) -> tuple[str, list[Done]]:
+    async def execute(self, client: Client, what: str, legs: Sequence[Leg], note: Note = None) -> Recorded:
         """Run one leg after the other, each made from where the arm is then; returns when it rests after the last.
 
         Args:
@@ -275,9 +277,7 @@ class Host:
         with self.leases.commanding(client, what) as lease:
             return await self.carry_out(lease, legs, note)
 
-    async def carry_out(
-        self, lease: Lease, legs: Sequence[Leg], note: dict[str, Any] | None = None
-    ) -> tuple[str, list[Done]]:
+    async def carry_out(self, lease: Lease, legs: Sequence[Leg], note: Note = None) -> Recorded:
         """`execute` for a client that commands already."""
         trajectory = await self._made(legs[0], lease.what)
         await self._use_model()

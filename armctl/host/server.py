@@ -45,8 +45,9 @@ MAX_SNAPSHOTS = 64
 MAX_UNSENT_BYTES = 1 << 20
 MAX_REQUESTS = 32
 MAX_ALWAYS_REQUESTS = 1024
-# Whether a user may command, by uid.
+# Whether a user may command, by uid; whether the arm does what a client wants.
 MayCommand = Callable[[int], bool]
+HoldsLease = Callable[["Connection"], bool]
 
 # For whom the request is that a task serves.
 PERSON: ContextVar[str] = ContextVar("person", default="")
@@ -57,9 +58,7 @@ logger = logging.getLogger(__name__)
 class Connection:
     """One client: who it is, and what is to be sent to it."""
 
-    def __init__(
-        self, writer: asyncio.StreamWriter, may_command: MayCommand, holds_lease: Callable[["Connection"], bool]
-    ) -> None:
+    def __init__(self, writer: asyncio.StreamWriter, may_command: MayCommand, holds_lease: HoldsLease) -> None:
         pid, self.uid = credentials(writer.get_extra_info("socket"))
         self.name = f"pid {pid} (uid {self.uid})"
         self.commands = may_command(self.uid)
@@ -170,7 +169,7 @@ class Server:
     clock: Clock
     on_close: Callable[[Connection], None]
     may_command: MayCommand
-    holds_lease: Callable[[Connection], bool] = lambda _: False
+    holds_lease: HoldsLease = lambda _: False
 
     def __post_init__(self) -> None:
         # The oldest first.

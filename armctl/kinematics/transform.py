@@ -19,9 +19,11 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
+# x, y, z, w.
+Quaternion = tuple[float, float, float, float]
 
 
-def quaternion_from_matrix(R: FloatArray) -> tuple[float, float, float, float]:
+def quaternion_from_matrix(R: FloatArray) -> Quaternion:
     """Unit quaternion (x, y, z, w), w >= 0, of one rotation matrix (Shepperd's method).
 
     Args:
@@ -31,9 +33,7 @@ def quaternion_from_matrix(R: FloatArray) -> tuple[float, float, float, float]:
     return quaternion_from_columns(X, Y, Z)
 
 
-def quaternion_from_columns(
-    X: Sequence[float], Y: Sequence[float], Z: Sequence[float]
-) -> tuple[float, float, float, float]:
+def quaternion_from_columns(X: Sequence[float], Y: Sequence[float], Z: Sequence[float]) -> Quaternion:
     """`quaternion_from_matrix` of the three columns of a rotation."""
     (m00, m10, m20), (m01, m11, m21), (m02, m12, m22) = X, Y, Z
     trace = m00 + m11 + m22
@@ -53,7 +53,7 @@ def quaternion_from_columns(
     return x / norm, y / norm, z / norm, w / norm
 
 
-def matrix_from_quaternion(quaternion: tuple[float, float, float, float]) -> FloatArray:
+def matrix_from_quaternion(quaternion: Quaternion) -> FloatArray:
     """Rotation matrix of a unit quaternion (x, y, z, w), shape (3, 3)."""
     x, y, z, w = quaternion
     return np.array(

@@ -265,9 +265,7 @@ def listing(folder: Path, robot: Robot) -> dict[str, list[dict[str, Any]]]:
     return found
 
 
-def describe(
-    recording: Recording, robot: Robot, line: Line | None = None, *, with_marks: bool = False
-) -> dict[str, Any]:
+def describe(take: Recording, robot: Robot, line: Line | None = None, *, with_marks: bool = False) -> dict[str, Any]:
     """A recording as lists show it. Of a run only the plan proper counts, of a take not its dead time at both ends.
 
     Args:
@@ -278,20 +276,20 @@ def describe(
     errors: tuple[float | None, float | None] = (None, None)
     # Positions may be any number a float can hold: what overflows becomes None below.
     with np.errstate(all="ignore"):
-        played = recording.played
-        part_rad = recording.positions_rad[played, : robot.chain.n]
+        played = take.played
+        part_rad = take.positions_rad[played, : robot.chain.n]
         if len(part_rad) and part_rad.shape[1] == robot.chain.n and np.isfinite(part_rad).all():
             points_m = tool_position(robot.chain, part_rad)
             A, B = (np.asarray(end, np.float64) for end in line or (points_m[0], points_m[-1]))
             if np.linalg.norm(B - A) > MIN_LINE_M:
                 errors = errors_mm(points_m, A, B)
     return {
-        **named(recording, "name", "duration_s", "samples", "arm_id", "calibration_hash", "complete"),
-        "path": str(recording.path),
+        **named(take, "name", "duration_s", "samples", "arm_id", "calibration_hash", "complete"),
+        "path": str(take.path),
         "mean_error_mm": errors[0],
         "max_error_mm": errors[1],
-        "dead_samples": [0, 0] if recording.plan_s else [played.start, recording.samples - played.stop],
-        **({"marks": via_marks(recording.path)} if with_marks else {}),
+        "dead_samples": [0, 0] if take.plan_s else [played.start, take.samples - played.stop],
+        **({"marks": via_marks(take.path)} if with_marks else {}),
     }
 
 

@@ -51,7 +51,10 @@ def write(path: Path, *logs: Timeline, checked: Answer | None = None, rows: Sequ
     """
     page = Page(f"Log {' and '.join(one.path.name for one in logs)}", light=True)
     for one in logs:
-        _about(page, one)
+        begun = f"{datetime.fromtimestamp(one.start_ns / NS_PER_S, UTC):%Y-%m-%d %H:%M:%S} UTC"
+        page.text(f"{one.path.name}: arm {one.arm.arm_id}, {begun}, {one.duration_s:.1f} s, {len(one.time_s)} ticks.")
+        if not one.complete:
+            page.text("The file was cut or is damaged: what is intact is shown.")
         page.heading(f"Verdicts{_of(one, logs)}")
         _verdicts(page, one)
     if len(logs) == 2 and all(one.motions for one in logs):
@@ -82,13 +85,6 @@ def write(path: Path, *logs: Timeline, checked: Answer | None = None, rows: Sequ
 def _of(log: Timeline, logs: Sequence[Timeline]) -> str:
     """Which log a heading is about, where there are two."""
     return f" of {log.path.name}" if len(logs) > 1 else ""
-
-
-def _about(page: Page, log: Timeline) -> None:
-    begun = f"{datetime.fromtimestamp(log.start_ns / NS_PER_S, UTC):%Y-%m-%d %H:%M:%S} UTC"
-    page.text(f"{log.path.name}: arm {log.arm.arm_id}, {begun}, {log.duration_s:.1f} s, {len(log.time_s)} ticks.")
-    if not log.complete:
-        page.text("The file was cut or is damaged: what is intact is shown.")
 
 
 def _from_its_plan(log: Timeline) -> Timeline:

@@ -126,9 +126,7 @@ def identify(arm: ArmConfig, chain: SerialChain, trace: Trace) -> Found:
     directions = np.array([joint.direction for joint in arm.joints])
     q = directions * TICK_RAD * (trace.position_tick - [joint.zero_tick for joint in arm.joints])
     # The masses, and what they gain as each joint goes on.
-    gains = [
-        (burdens(arm, chain, q + d) - burdens(arm, chain, q - d)) / (2.0 * d.max()) for d in 1e-4 * np.eye(len(joints))
-    ]
+    gains = [(burdens(arm, chain, q + d) - burdens(arm, chain, q - d)) / 2e-4 for d in 1e-4 * np.eye(len(joints))]
     loads = np.concatenate([burdens(arm, chain, q), *gains], axis=3)
     loads[0] *= directions[:, None, None]
     loads[1, :, :, chain.n + 1 :] = 0.0

@@ -60,22 +60,17 @@ class Placement(NamedTuple):
 
 
 def place(
-    motion: StraightMotion,
-    waypoints: FloatArray,
-    knots: FloatArray,
-    *,
-    held: FloatArray | None = None,
-    move_knots: bool = True,
+    motion: StraightMotion, W: FloatArray, knots: FloatArray, *, held: FloatArray | None = None, move_knots: bool = True
 ) -> Placement:
     """Waypoints near the given ones whose motion, less the lag, is straightest.
 
     Args:
-        waypoints: Where to begin [rad], shape (k, n).
+        W: Waypoints where to begin [rad], shape (k, n).
         knots: Their progress, shape (k,).
         held: 1 for a joint whose waypoints stay as they are, else 0, shape (n,); None: all may move.
         move_knots: Whether inner waypoints may be reached earlier or later.
     """
-    search = _Search(motion, np.array(waypoints, dtype=np.float64), np.array(knots, dtype=np.float64), held)
+    search = _Search(motion, np.array(W, dtype=np.float64), np.array(knots, dtype=np.float64), held)
     W, tau = search.begin, search.knots
     k, limits = len(tau), motion.limits
     free = k - 2 if move_knots and k > 2 else 0
