@@ -53,7 +53,8 @@ def calibrate_command(
     Fix a sheet with known points to the table, its x axis ahead of the base, and touch every point in different
     postures: elbow high and low, tool steep and flat. A value that the points do not show is left alone, and named.
     Torque stays off and nothing is written to the servos. The result is the arm's file from then on; the one before
-    stays in NAME.history beside it, as 1.yaml and so on. An arm that comes with armctl gets a file of your own.
+    stays in NAME.history beside it, as 1.yaml and so on, and --undo takes it back. An arm that comes with armctl gets a
+    file of your own.
 
     With --holding the arm stands by itself, as it does at work: the daemon moves it above each point, you lead the tip
     near it by keys and press it onto it with a finger. Twists of its axes, waves of its sensors and what its weight
@@ -72,8 +73,8 @@ def calibrate_command(
 
     _refuse_several(points, readings, zero_at, way)
     holding = way == "holding"
-    if way == "sag":
-        _calibrate_sag(output)
+    if way in ("sag", "undo"):
+        (_calibrate_sag if way == "sag" else _undo)(output)
         return
     before = output.arm
     name = output.arm_name or output.config.arm
@@ -116,16 +117,34 @@ def calibrate_command(
         show_fit(output, fit)
     if held is not None:
         show_held(output, held, remark)
-    show_rows(output.console, "changes", "Changed", result["changes"])
-    was = f" (before: {kept})" if kept else ""
-    output.say(f"written: {path}{was}\nuse it: armctl daemon --arm {name if out is None else out}")
+    _show_changes(output, result, kept, str(name if out is None else out))
 
 
 def _refuse_several(points: Path | None, readings: Path | None, zero_at: str | None, way: str | None) -> None:
     """Refuse anything but one kind of calibration; points may be touched by an arm that holds itself."""
     if sum(map(bool, (points, readings, zero_at, way != "holding" and way))) != 1 or (way == "holding" and zero_at):
-        kinds = "--points FILE, --readings FILE (either with --holding), --zero-at rest|zero, --sag and --pairs"
+        kinds = "--points FILE, --readings FILE (either with --holding), --zero-at rest|zero, --sag, --pairs and --undo"
         raise click.UsageError(f"give one of {kinds}")
+
+
+def _undo(output: Output) -> None:
+    """Have the arm's file hold what it held before it was renewed last."""
+    from armctl.commissioning import arm_file
+    from armctl.config import ArmConfig, parse_yaml, validate
+
+    name = output.arm_name or output.config.arm
+    path, old = arm_file.active_path(name), output.arm
+    text = arm_file.before(path)
+    new = validate(ArmConfig, parse_yaml(text, str(path)), str(path))
+    kept = arm_file.renew(path, text)
+    result = {"path": str(path), "changes": _changes(old, new)}
+    output.answer(result, lambda: _show_changes(output, result, kept, name))
+
+
+def _show_changes(output: Output, result: dict[str, Any], kept: Path | None, name: str) -> None:
+    show_rows(output.console, "changes", "Changed", result["changes"])
+    was = f" (before: {kept})" if kept else ""
+    output.say(f"written: {result['path']}{was}\nuse it: armctl daemon --arm {name}")
 
 
 def _zeroed(output: Output, arm: ArmConfig, pose: str) -> ArmConfig:

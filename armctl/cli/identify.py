@@ -17,7 +17,13 @@ if TYPE_CHECKING:
 
 @command("identify", SOCKET, CONFIG)
 def identify_command(
-    output: Output, joints: str | None, quick: bool, report: Path | None, logs: tuple[Path, ...], more: tuple[str, ...]
+    output: Output,
+    joints: str | None,
+    quick: bool,
+    report: Path | None,
+    logs: tuple[Path, ...],
+    more: tuple[str, ...],
+    compare: Path | None,
 ) -> None:
     """Find friction, slope, play and delay of each joint: the daemon moves one after the other, about five minutes.
 
@@ -25,7 +31,9 @@ def identify_command(
     it was at the end. Pre-flight looks at every motion before it begins. Keep clear; Ctrl-C stops it. --quick only
     finds out how servos begin their speed ramps, by a few degrees where the arm stands. --from-logs moves nothing.
 
-    What was not seen is said. The spec that comes of it is the twin of this arm: `armctl sim --spec FILE`.
+    What was not seen is said. The spec that comes of it is the twin of this arm: `armctl sim --spec FILE`. How ramps
+    begin is written into the arm's file. --compare moves nothing: the twin plays what a log had the arm do, and you
+    see how well it foretells that.
 
     Example: armctl torque on; armctl identify --report servos.html
     """
@@ -34,6 +42,9 @@ def identify_command(
     from armctl.report import identified
     from armctl.trajectory.identification import QUANTITIES, Trace, identify
 
+    if compare is not None:
+        _compare(output, compare, report)
+        return
     if more and not logs and joints is None:
         raise ConfigError("armctl identify", more[0], "belongs to no option", "name it behind --from-logs or --joints")
     if logs:
@@ -52,6 +63,7 @@ def identify_command(
         result["joints"] = []
     elif any(joint.values.keys() & QUANTITIES for joint in found.joints):
         result["spec"] = str(lab.save(output.config, arm, found))
+    result["path"] = None if logs else _kept(output, arm, found.ramp_from_reference)
     if report is not None:
         identified.write(found, report)
     output.answer(result, lambda: _show(output, result))
@@ -72,6 +84,43 @@ def _moved(output: Output, joints: str | None, *, quick: bool) -> tuple[ArmConfi
         return arm, lab.moved(client, arm, [arm.joint_names.index(name) for name in names], show, quick=quick)
 
 
+def _kept(output: Output, arm: ArmConfig, ramp: bool | None) -> str | None:
+    """Have the arm's file hold how its servos' ramps begin, once that was seen; where it was written, if it was."""
+    from armctl.commissioning import arm_file
+    from armctl.commissioning.calibration import calibration_text
+
+    if ramp is None or ramp == arm.ramp_from_reference:
+        return None
+    text = calibration_text(arm.model_copy(update={"ramp_from_reference": ramp}), [f"{arm.arm_id}, identified."])
+    try:
+        arm_file.renew(path := arm_file.active_path(output.config.arm), text)
+    except ConfigError as error:
+        output.warn(f"ramp_from_reference is not kept: {error}")
+        return None
+    return str(path)
+
+
+def _compare(output: Output, log: Path, report: Path | None) -> None:
+    """Show how well the twin foretells a log."""
+    from armctl.cli.logs import loaded
+    from armctl.lab import identification as lab
+    from armctl.report import identified
+
+    timeline, spec = loaded(output, log), lab.twin_path(output.config)
+    with output.progress("the twin plays the log", 1.0) as show:
+        found = lab.compared(timeline, spec, show)
+    if report is not None:
+        identified.write_compared(found, report)
+    tool_mm = 1e3 * found.tool_m
+    figures = {"tool_mean_mm": float(tool_mm.mean()), "tool_max_mm": float(tool_mm.max())}
+    rows = found.rows()
+    if not output.result({"compared": rows, **figures, "spec": str(spec)}):
+        show_rows(output.console, "compared", "The twin beside the log", rows)
+        output.say(
+            "tool {tool_mean_mm:.2f} mm from the twin's in the mean, {tool_max_mm:.2f} at most".format(**figures)
+        )
+
+
 def _show(output: Output, result: dict[str, Any]) -> None:
     if result["joints"]:
         show_rows(output.console, "identified", "Each with its standard deviation", result["joints"])
@@ -80,5 +129,7 @@ def _show(output: Output, result: dict[str, Any]) -> None:
             output.say(f"{row['name']}: {key} was not seen: {why}")
     ramp = {True: "go on from where they are", False: "begin at the shaft", None: "were not seen"}
     output.say(f"with a new goal the speed ramps {ramp[result['ramp_from_reference']]} (ramp_from_reference)")
+    if result["path"]:
+        output.say(f"written: {result['path']}; restart the daemon, which has read the one before")
     if spec := result["spec"]:
         output.say(f"{spec}: the twin of this arm; armctl sim --spec, armctl experiment line --virtual --spec")

@@ -51,14 +51,14 @@ def replay_command(output: Output, log: Path, check: bool, allow_gaps: bool, rep
     if report is not None:
         from armctl.report import log as page
 
-        page.write(report, _loaded(output, log), checked=answer)
+        page.write(report, loaded(output, log), checked=answer)
         answer["report"] = str(report)
         if not output.json:
             output.say(f"report: {report}")
     if not output.result(answer) and not check and report is None:
         from armctl.clock import MonotonicClock
 
-        timeline = _loaded(output, log)
+        timeline = loaded(output, log)
         with keys(sys.stdin) as pressed:
             _watch(output, timeline, pressed.wait, MonotonicClock(), **shown)
     return 0 if same else 1
@@ -90,7 +90,7 @@ def _checked(output: Output, log: Path) -> ReplayResult:
     return result
 
 
-def _loaded(output: Output, log: Path) -> Timeline:
+def loaded(output: Output, log: Path) -> Timeline:
     from armctl.recording import timeline
 
     with output.progress("reading", 1.0) as show:
@@ -100,7 +100,7 @@ def _loaded(output: Output, log: Path) -> Timeline:
 def _onto_sim(output: Output, log: Path, foreign: bool, seed: int) -> int:
     from armctl.lab import rehearsal
 
-    timeline, played = _loaded(output, log), output.arm
+    timeline, played = loaded(output, log), output.arm
     with output.progress("on the simulated arm", 1.0) as show:
         result = rehearsal.rehearse(timeline, played, foreign=foreign, seed=seed, progress=show)
     told = (

@@ -113,12 +113,28 @@ def renew(path: Path, text: str) -> Path | None:
     """
     kept: Path | None = None
     if path.exists() and (old := read_text(path, "file")) != text:
-        folder = path.with_suffix(".history")
-        numbers = [int(one.stem) for one in folder.glob(f"*{path.suffix}") if one.stem.isdecimal()]
-        kept = folder / f"{max(numbers, default=0) + 1}{path.suffix}"
+        number = max((int(one.stem) for one in _kept(path)), default=0) + 1
+        kept = path.with_suffix(".history") / f"{number}{path.suffix}"
         write(kept, old)
     write(path, text)
     return kept
+
+
+def before(path: Path) -> str:
+    """What an arm's file held before it was renewed last; if never, what comes with armctl under that name.
+
+    Raises:
+        ConfigError: there is neither.
+    """
+    kept = sorted((int(one.stem), one) for one in _kept(path))
+    shipped = [file for folder in shipped_dirs() if path.exists() and (file := folder / path.name).exists()]
+    if not kept and not shipped:
+        raise ConfigError(str(path), "", "has no history: it was never renewed", "there is nothing to take back")
+    return read_text(kept[-1][1] if kept else shipped[0], "calibration")
+
+
+def _kept(path: Path) -> list[Path]:
+    return [one for one in path.with_suffix(".history").glob(f"*{path.suffix}") if one.stem.isdecimal()]
 
 
 def write(path: Path, text: str) -> None:

@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import cycle, product
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,10 +32,13 @@ from armctl.kinematics import robots
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
+from armctl.lab import rehearsal
 from armctl.recording import channels
 from armctl.recording.log_file import LogFile
 from armctl.recording.replay import log_setup
-from armctl.sim.twin import TwinJoint
+from armctl.recording.timeline import Timeline
+from armctl.sim.spec import DEFAULT_SPEC, put_together
+from armctl.sim.twin import TwinJoint, load_twin
 from armctl.trajectory import identification
 from armctl.trajectory.identification import QUANTITIES, Found, Trace
 from armctl.trajectory.interpolate import time_law
@@ -268,6 +271,51 @@ def told(found: Found) -> list[dict[str, Any]]:
     return rows
 
 
+class Compared(NamedTuple):
+    """A log beside what its arm's twin foretells of it; m ticks, n joints."""
+
+    names: tuple[str, ...]
+    # From where the motion begins, shape (m,).
+    time_s: FloatArray
+    # What encoders showed, and what the twin's showed at least, in the middle and at most [rad], all of shape (m, n).
+    measured_rad: FloatArray
+    least_rad: FloatArray
+    middle_rad: FloatArray
+    most_rad: FloatArray
+    # Distance of the tool from where the twin has it, by encoders [m], shape (m,).
+    tool_m: FloatArray
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Of each joint how far the twin is off, and in which share of ticks what was measured is within its band."""
+        off_deg = np.degrees(np.abs(self.measured_rad - self.middle_rad))
+        low, high = self.least_rad - ax12a.TICK_RAD, self.most_rad + ax12a.TICK_RAD
+        inside = ((self.measured_rad >= low) & (self.measured_rad <= high)).mean(axis=0)
+        rms_deg = np.sqrt((off_deg**2).mean(axis=0))
+        columns = zip(self.names, rms_deg.tolist(), off_deg.max(axis=0).tolist(), inside.tolist(), strict=True)
+        return [dict(zip(("name", "rms_deg", "max_deg", "inside"), row, strict=True)) for row in columns]
+
+
+def compared(timeline: Timeline, spec: Path, progress: Callable[[float], None]) -> Compared:
+    """What the twin in a file foretells of a log.
+
+    Raises:
+        ConfigError: the file is no twin of the log's arm.
+        RequestRefused, LogError: see `rehearsal.foretold`.
+    """
+    twin = put_together(DEFAULT_SPEC, "perfect", "new", load_twin(spec, timeline.arm))
+    played = rehearsal.foretold(timeline, twin, progress)
+    bands = np.array([one.followed_rad for one in played])
+    middle = np.median(bands, axis=0)
+    tool_m = rehearsal.tool_apart_m(played[0]._replace(followed_rad=middle), robots.of(timeline.arm).chain)
+    time_s, measured = played[0].time_s, played[0].logged_rad
+    return Compared(timeline.arm.joint_names, time_s, measured, bands.min(axis=0), middle, bands.max(axis=0), tool_m)
+
+
+def twin_path(config: Config) -> Path:
+    """Where the twin of the arm is kept."""
+    return sag_file.path_of(config).with_suffix("").with_suffix(".twin.json")
+
+
 def save(config: Config, arm: ArmConfig, found: Found) -> Path:
     """Write the twin of the arm beside its lag model; the one before stays in its history.
 
@@ -277,6 +325,6 @@ def save(config: Config, arm: ArmConfig, found: Found) -> Path:
     kept = TwinJoint.model_fields.keys()
     joints = {one.name: {k: v for k, (v, _) in (one.likely | one.values).items() if k in kept} for one in found.joints}
     about = {"arm_id": arm.arm_id, "ramp_from_reference": found.ramp_from_reference, "points_kg": found.points_kg}
-    path = sag_file.path_of(config).with_suffix("").with_suffix(".twin.json")
+    path = twin_path(config)
     renew(path, json.dumps(about | {"joints": joints}, indent=1) + "\n")
     return path

@@ -17,17 +17,22 @@ import numpy as np
 
 from armctl.config import ArmConfig
 from armctl.errors import LogError, RequestRefused
-from armctl.kinematics.chain import tool_position
+from armctl.kinematics import robots
+from armctl.kinematics.chain import SerialChain, tool_position
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import JointTrajectory, Run, TickRecord, most_points
 from armctl.recording.timeline import Timeline
 from armctl.sim.arm import SimulatedArm
+from armctl.sim.spec import ArmSpec
 from armctl.sim.virtual_arm import VirtualArm
 from armctl.trajectory.approach import approach_trajectory
 from armctl.trajectory.interpolate import columns_at
 
 SPEED_MARGIN = 0.99
 DWELL_S = 1.0
+# How often a twin plays a log.
+DRAWS = 5
+PERIOD_S = 0.1
 
 
 class Rehearsal(NamedTuple):
@@ -44,6 +49,18 @@ class Rehearsal(NamedTuple):
     joint_max_rad: float
     tool_mean_m: float
     tool_max_m: float
+
+
+class Played(NamedTuple):
+    """A motion as a simulated arm ran it."""
+
+    # From its first tick on, shape (m,).
+    time_s: FloatArray
+    # What encoders showed, here and in the log at the same place [rad], both of shape (m, joints).
+    followed_rad: FloatArray
+    logged_rad: FloatArray
+    clipped_rad: float
+    stretched_s: float
 
 
 def check_arm(timeline: Timeline, arm: ArmConfig) -> None:
@@ -71,7 +88,7 @@ def rehearse(
     arm: ArmConfig,
     *,
     foreign: bool = False,
-    period_s: float = 0.1,
+    period_s: float = PERIOD_S,
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
     watch: Callable[[SimulatedArm, TickRecord], None] | None = None,
@@ -90,13 +107,57 @@ def rehearse(
     """
     if not foreign:
         check_arm(timeline, arm)
-    q, measured, time_s = _known(timeline, arm)
+    played = _played(SimulatedArm(arm, seed=seed), _known(timeline, arm), period_s, progress, watch)
+    error, apart_m = np.abs(played.followed_rad - played.logged_rad), tool_apart_m(played, robots.of(arm).chain)
+    return Rehearsal(
+        ticks=len(error),
+        duration_s=len(error) * period_s,
+        stretched_s=played.stretched_s,
+        clipped_rad=played.clipped_rad,
+        joint_rms_rad=float(np.sqrt((error**2).mean())),
+        joint_max_rad=float(error.max()),
+        tool_mean_m=float(apart_m.mean()),
+        tool_max_m=float(apart_m.max()),
+    )
+
+
+def foretold(timeline: Timeline, twin: ArmSpec, progress: Callable[[float], None]) -> list[Played]:
+    """What the twin of an arm does where the log's arm had torque: several times, what is not known of it drawn anew.
+
+    Raises:
+        RequestRefused: whatever the control step refuses, or a fault that stopped it.
+        LogError: there is no motion under torque in the log.
+    """
+    known = _known(timeline, timeline.arm, powered=True)
+
+    def played(seed: int) -> Played:
+        simulated = SimulatedArm(timeline.arm, seed=seed, spec=twin)
+        return _played(simulated, known, PERIOD_S, lambda share: progress((seed + share) / DRAWS))
+
+    return list(map(played, range(DRAWS)))
+
+
+def tool_apart_m(played: Played, chain: SerialChain) -> FloatArray:
+    """Distance of the tool from where the log has it, by the encoders [m], shape (m,)."""
+    here, there = (tool_position(chain, q[:, : chain.n]) for q in (played.followed_rad, played.logged_rad))
+    return np.asarray(np.linalg.norm(here - there, axis=-1))
+
+
+def _played(
+    simulated: SimulatedArm,
+    known: tuple[FloatArray, FloatArray, FloatArray],
+    period_s: float,
+    progress: Callable[[float], None] | None,
+    watch: Callable[[SimulatedArm, TickRecord], None] | None = None,
+) -> Played:
+    """A motion on a simulated arm, begun at rest."""
+    (q, measured, time_s), arm = known, simulated.config
     low, high = np.array([joint.limits_rad for joint in arm.joints]).T
     clipped = np.clip(q, low, high)
     grid, motion, run_s = _stretched(clipped, time_s, arm, period_s)
-    virtual = VirtualArm(SimulatedArm(arm, seed=seed), period_s)
+    virtual = VirtualArm(simulated, period_s)
     if watch is not None:
-        virtual.on_tick = partial(watch, virtual.simulated)
+        virtual.on_tick = partial(watch, simulated)
     virtual.energise()
     approach = approach_trajectory(virtual.goals_rad, motion[0].tolist(), virtual, "approach")
     virtual.carry_out(Run(virtual.next_id(), approach))
@@ -112,30 +173,22 @@ def rehearse(
             progress(min(1.0, (begin + most) / len(motion)))
     followed = np.array([[joint.position_rad for joint in record.outputs.joints] for record in records])
     then = columns_at(grid[:-1], run_s, measured)
-    error, chain = np.abs(followed - then), virtual.robot.chain
-    apart_m = tool_position(chain, followed[:, : chain.n]) - tool_position(chain, then[:, : chain.n])
-    tool_m = np.linalg.norm(apart_m, axis=-1)
-    return Rehearsal(
-        ticks=len(records),
-        duration_s=float(grid[-1]),
-        stretched_s=float(run_s[-1] - (time_s[-1] - time_s[0])),
-        clipped_rad=float(np.abs(clipped - q).max()),
-        joint_rms_rad=float(np.sqrt((error**2).mean())),
-        joint_max_rad=float(error.max()),
-        tool_mean_m=float(tool_m.mean()),
-        tool_max_m=float(tool_m.max()),
-    )
+    outside = float(np.abs(clipped - q).max())
+    return Played(grid[:-1], followed, then, outside, float(run_s[-1] - (time_s[-1] - time_s[0])))
 
 
-def _known(timeline: Timeline, arm: ArmConfig) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Motion, measured positions and times of the frames in which every joint is known."""
+def _known(timeline: Timeline, arm: ArmConfig, *, powered: bool = False) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Motion, measured positions and times of the frames in which every joint is known, and has torque if need be."""
     if timeline.position_rad.shape[1] != len(arm.joints):
         joints = f"{timeline.position_rad.shape[1]} joints in the log, {len(arm.joints)} on the arm"
         raise LogError(f"{timeline.path}: {joints}; it cannot be repeated there")
     q = logged_motion(timeline)
     known = np.isfinite(q).all(axis=1) & np.isfinite(timeline.position_rad).all(axis=1)
+    known &= timeline.torque_enabled.all(axis=1) | (not powered)
     if known.sum() < 2:
-        raise LogError(f"{timeline.path}: fewer than two ticks in which every joint is known; there is no motion in it")
+        under = " and has torque" if powered else ""
+        text = f"fewer than two ticks in which every joint is known{under}; there is no motion in it"
+        raise LogError(f"{timeline.path}: {text}")
     return q[known], timeline.position_rad[known], timeline.time_s[known]
 
 

@@ -1,16 +1,22 @@
-"""The page of an identified arm: what was learnt, beside what the simulator assumes. Without names, paths or dates."""
+"""Pages of an identified arm, without names, paths or dates.
+
+What was learnt, beside what the simulator assumes; and a log, beside what the twin foretells of it.
+"""
 
 import math
 from pathlib import Path
 
+import numpy as np
 import yaml
 
+from armctl.lab.identification import Compared
 from armctl.report.page import TEXTS, Page, curve
 from armctl.trajectory.identification import Found
 
 # Of each quantity: heading, unit, the least and the most that the simulator draws.
 ASSUMED = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
 LIKELY = 2.0
+MEASURED, BAND = "#b0413e", "#888888"
 
 
 def write(found: Found, path: Path) -> None:
@@ -49,4 +55,27 @@ def write(found: Found, path: Path) -> None:
         ("joint", *(title for title, *_ in ASSUMED.values())),
         [(number, *(cell(joint.values.get(key)) for key in ASSUMED)) for number, joint in enumerate(found.joints, 1)],
     )
+    page.write(path)
+
+
+def write_compared(found: Compared, path: Path) -> None:
+    """Write the page of a log beside what the twin foretells of it.
+
+    Raises:
+        LogError: it cannot be written.
+    """
+    page, rows = Page("This arm and its twin"), found.rows()
+    page.text(TEXTS["compared"])
+    cells = [(k, f"{r['rms_deg']:.2f}", f"{r['max_deg']:.2f}", f"{r['inside']:.0%}") for k, r in enumerate(rows, 1)]
+    page.table(("joint", "rms, deg", "most, deg", "within the band"), cells)
+    for k in range(len(rows)):
+        with page.chart(f"Joint {k + 1}, measured and foretold", f"Joint {k + 1}", "time, s", "deg", 260) as chart:
+            for name, q, how in (
+                ("least", found.least_rad, {"width": 0, "showlegend": False}),
+                ("foretold", found.most_rad, {"width": 0, "fill": "tonexty"}),
+                ("measured", found.measured_rad, {}),
+            ):
+                curve(chart, found.time_s, np.degrees(q[:, k]), name, BAND if how else MEASURED, **how)
+    with page.chart("Distance of the tool from where the twin has it", "Tool", "time, s", "mm", 260) as chart:
+        curve(chart, found.time_s, 1e3 * found.tool_m, "apart", MEASURED)
     page.write(path)

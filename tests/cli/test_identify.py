@@ -1,10 +1,14 @@
 """`armctl identify` as it is typed; what it finds is judged in tests/proving."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from armctl.cli import identify
+from armctl.cli.output import Output
+from armctl.files import load_arm
 from armctl.messages import TickRecord
 from tests.cli.conftest import Answer, Typed
 from tests.recording.factory import ARM, CONTEXT, make_records
@@ -74,3 +78,34 @@ def test_a_servo_that_never_answered_is_named(tmp_path: Path, typed: Typed) -> N
     log = write(tmp_path / "a.mcap", map(silent, make_records(20)))
     said = typed("identify", "--from-logs", log, status=1).err
     assert missing(said, "a.mcap: servo 4 (wrist) never answered") == []
+
+
+def test_a_twin_is_held_against_a_log_in_figures_and_on_a_page(tmp_path: Path, answer: Answer, typed: Typed) -> None:
+    log, page = write(tmp_path / "a.mcap", make_records(120, seed=3)), tmp_path / "page.html"
+    assert missing(typed("identify", "--compare", log, status=2).err, "twin.json", "cannot read the spec") == []
+    spec = Path(answer("identify", "--from-logs", log)["spec"])
+    told = answer("identify", "--compare", log, "--report", page)
+    assert told["spec"] == str(spec)
+    assert [row["name"] for row in told["compared"]] == [joint.name for joint in ARM.joints]
+    assert sorted(row["rms_deg"] for row in told["compared"])[4] < 0.3
+    assert sorted(row["inside"] for row in told["compared"])[1] > 0.9
+    assert 0.0 < told["tool_mean_mm"] < 3.0
+    assert missing(page.read_text(encoding="utf-8"), "This arm and its twin", "within the band") == []
+    # A twin that weighs three times as much foretells worse.
+    twin = json.loads(spec.read_text())
+    spec.write_text(json.dumps(twin | {"points_kg": [3.0 * kg for kg in twin["points_kg"]]}))
+    assert answer("identify", "--compare", log)["tool_mean_mm"] > 2.0 * told["tool_mean_mm"]
+    limp = write(tmp_path / "limp.mcap", make_records(60, {}))
+    assert missing(typed("identify", "--compare", limp, status=1).err, "has torque", "no motion") == []
+
+
+def test_how_ramps_begin_is_kept_with_the_arm() -> None:
+    output = Output()
+    assert identify._kept(output, ARM, None) is None
+    path = identify._kept(output, ARM, False)
+    assert path is not None
+    known = load_arm("ax12-line")
+    assert known.ramp_from_reference is False
+    assert known.calibration_hash == ARM.calibration_hash
+    assert Path(path).read_text().startswith("# ax12-line, identified.")
+    assert identify._kept(output, known, False) is None

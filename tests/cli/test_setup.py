@@ -217,7 +217,7 @@ def test_calibrate_holding_tells_every_parameter_and_makes_the_arm_a_table(
     command = calibrated(arm_file, touches)
     result = answer(*command, arm_file, "--holding")
     assert result["parameters"][0].keys() == {"name", "value", "sd", "unit"}
-    assert {one["unit"] for one in result["parameters"]} == {"tick", "m", "deg"}
+    assert {one["unit"] for one in result["parameters"]} == {"tick", "m", "deg", "deg/m"}
     assert result["after_mm"] < result["held_out_mm"] < 0.5 < 2.0 < result["before_mm"]
     found = load_arm(str(arm_file))
     assert zeros(found)[5] == 512.0, "of a servo that moves no tool"
@@ -262,6 +262,19 @@ def test_calibrate_holding_moves_above_each_point_and_is_led_onto_it(
     assert "POOR_FIT" in said.err or "off its points" in said.err
     wrong = typed("calibrate", "--arm", arm_file, "--zero-at", "rest", "--holding", status=2)
     assert "(either with --holding)" in wrong.err
+
+
+def test_a_calibration_is_taken_back_and_brought_back(arm_file: Path, answer: Answer, typed: Typed) -> None:
+    assert not missing(typed("calibrate", "--arm", arm_file, "--undo", status=2).err, "has no history", "take back")
+    old = arm_file.read_text()
+    answer(*calibrated(arm_file, touch_points(Bench(spec=EXACT), 16, np.random.default_rng(0))), arm_file)
+    new = arm_file.read_text()
+    told = answer("calibrate", "--arm", arm_file, "--undo")
+    assert arm_file.read_text() == old != new
+    assert told["path"] == str(arm_file)
+    assert told["changes"]
+    assert not missing(typed("calibrate", "--arm", arm_file, "--undo").out, "written: ", "my-arm.history/3.yaml")
+    assert arm_file.read_text() == new
 
 
 def test_where_the_arms_folder_cannot_be_written_the_file_stays(arm_file: Path, typed: Typed) -> None:
