@@ -89,6 +89,20 @@ def test_what_a_hand_leads_may_push_once_that_is_told(holding: Bench, code: str,
     assert holding.red & {"stall"} == broken
 
 
+@pytest.mark.parametrize(("unheard", "heard", "broken"), [(0, 1, False), (3, 1, False), (3, 2, True), (0, 2, True)])
+def test_a_load_that_is_cleared_is_told_again_once_its_servo_is_heard(
+    holding: Bench, unheard: int, heard: int, broken: bool
+) -> None:
+    holding.feel(0.9, gravity=0.9)
+    holding.ticks(24, Mode.HOLDING)
+    holding.ticks(8, Mode.FAULTED, "OVERLOAD")
+    holding.ask("clear")
+    holding.tick(Mode.HOLDING)
+    holding.ticks(unheard, Mode.HOLDING, heard=False)
+    holding.ticks(heard, Mode.HOLDING)
+    assert ("rows" in holding.red) == broken
+
+
 @pytest.mark.parametrize(("limit", "broken"), [(1023, {"7"}), (128, set())])
 def test_what_was_left_with_a_part_of_its_strength_cannot_stand(holding: Bench, limit: int, broken: set[str]) -> None:
     holding.servos[0].limit = limit

@@ -342,10 +342,10 @@ class StandingJudge(ShaftJudge):
 
     def _watch_load(self, now_s: float, i: int) -> None:
         # A program that was late has seen it once; what is heard in this very tick, nobody has told yet.
-        lasts_s = self._heard_before_s[i] - max(self._load_s[i], self._late_s)
-        self._heard_before_s[i] = self._duties.heard_s[i]
-        # What is cleared while it lasts is told again in the next tick.
-        untold = "OVERLOAD" not in self._codes and now_s - self._again[1] > 1.5 * self._period_s
+        heard_s, self._heard_before_s[i] = self._heard_before_s[i], self._duties.heard_s[i]
+        lasts_s = heard_s - max(self._load_s[i], self._late_s)
+        # What is cleared while it lasts is told again when its servo is heard again.
+        untold = "OVERLOAD" not in self._codes and heard_s > self._again[1]
         if lasts_s > OVERLOADED_S and untold and (self._codes or self._mode in POWERED):
             beside = f" beside {'+'.join(self._codes)}" if self._codes else ""
             text = f"works above 80 % for {now_s - self._load_s[i]:.1f} s, and nobody tells it{beside}"
