@@ -181,8 +181,7 @@ class Tick:
 
     def goals_rad(self) -> tuple[float, ...]:
         """Where the joints' goals are that were decided; empty: there are none."""
-        rows = zip(self.joints, self.wire, self.state.goal, strict=False)
-        return tuple([joint.position_rad(tick) for _, joint, tick in rows])
+        return tuple([self.wire[i].position_rad(tick) for i, tick in enumerate(self.state.goal[: len(self.joints)])])
 
     def wanted_rad(self) -> tuple[float, ...]:
         """Where the joints are wanted; empty: nowhere."""
@@ -293,9 +292,10 @@ class Tick:
     def let_go(self, request_id: int | None = None) -> None:
         """Switch torque off, for as long as it takes until every servo is seen limp (see enforce.py)."""
         state = self.state
-        waiting = state.letting_go.request_ids if state.letting_go else ()
-        waiting += () if request_id is None else (request_id,)
-        state.letting_go = LettingGo(self.inputs.now_ns, tuple(range(len(self.wire))), waiting)
+        more, going = () if request_id is None else (request_id,), state.letting_go
+        if not (going and going.request_ids):  # who waits hears as soon, however often it is asked for anew
+            going = LettingGo(self.inputs.now_ns, tuple(range(len(self.wire))), ())
+        state.letting_go = replace(going, request_ids=going.request_ids + more)
         self.forget_goals()
         state.powered, state.looks, state.borne_ratio = False, (), ()
         self.write_all(ax12a.TORQUE_ENABLE, 0)

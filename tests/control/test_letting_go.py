@@ -67,6 +67,16 @@ def test_release_names_a_servo_that_stays_stiff_and_goes_on_telling_it() -> None
     assert (rig.replies()[7].ok, rig.mode()) == (True, Mode.OFF)
 
 
+def test_who_asks_again_and_again_hears_of_a_servo_that_stays_stiff_as_soon() -> None:
+    rig = Rig().holding()
+    rig.fault("mute", 2, duration_s=5.0)
+    for request_id in range(5, 9):
+        rig.ticks(3, Release(request_id))
+    assert [rig.replies()[request_id].code for request_id in (5, 6)] == ["NOT_LIMP"] * 2
+    rig.ticks(6)
+    assert {rig.replies()[request_id].code for request_id in range(5, 9)} == {"NOT_LIMP"}
+
+
 def _refusal(rig: Rig, command: Clear) -> str:
     rig.ticks(1, command)
     reply = rig.replies()[command.request_id]
