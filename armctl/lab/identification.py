@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import cycle, product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -37,6 +37,7 @@ from armctl.recording import channels
 from armctl.recording.log_file import LogFile
 from armctl.recording.replay import log_setup
 from armctl.recording.timeline import Timeline
+from armctl.report.identified import Compared
 from armctl.sim.spec import DEFAULT_SPEC, put_together
 from armctl.sim.twin import TwinJoint, load_twin
 from armctl.trajectory import identification
@@ -269,30 +270,6 @@ def told(found: Found) -> list[dict[str, Any]]:
             row[key], row[f"{key}_sd"] = joint.values.get(key, (None, None))
         rows.append(row | {"unseen": joint.unseen})
     return rows
-
-
-class Compared(NamedTuple):
-    """A log beside what its arm's twin foretells of it; m ticks, n joints."""
-
-    names: tuple[str, ...]
-    # From where the motion begins, shape (m,).
-    time_s: FloatArray
-    # What encoders showed, and what the twin's showed at least, in the middle and at most [rad], all of shape (m, n).
-    measured_rad: FloatArray
-    least_rad: FloatArray
-    middle_rad: FloatArray
-    most_rad: FloatArray
-    # Distance of the tool from where the twin has it, by encoders [m], shape (m,).
-    tool_m: FloatArray
-
-    def rows(self) -> list[dict[str, Any]]:
-        """Of each joint how far the twin is off, and in which share of ticks what was measured is within its band."""
-        off_deg = np.degrees(np.abs(self.measured_rad - self.middle_rad))
-        low, high = self.least_rad - ax12a.TICK_RAD, self.most_rad + ax12a.TICK_RAD
-        inside = ((self.measured_rad >= low) & (self.measured_rad <= high)).mean(axis=0)
-        rms_deg = np.sqrt((off_deg**2).mean(axis=0))
-        columns = zip(self.names, rms_deg.tolist(), off_deg.max(axis=0).tolist(), inside.tolist(), strict=True)
-        return [dict(zip(("name", "rms_deg", "max_deg", "inside"), row, strict=True)) for row in columns]
 
 
 def compared(timeline: Timeline, spec: Path, progress: Callable[[float], None]) -> Compared:

@@ -5,11 +5,13 @@ What was learnt, beside what the simulator assumes; and a log, beside what the t
 
 import math
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
 
-from armctl.lab.identification import Compared
+from armctl.dynamixel import ax12a
+from armctl.kinematics.transform import FloatArray
 from armctl.report.page import TEXTS, Page, curve
 from armctl.trajectory.identification import Found
 
@@ -17,6 +19,30 @@ from armctl.trajectory.identification import Found
 ASSUMED = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
 LIKELY = 2.0
 MEASURED, BAND = "#b0413e", "#888888"
+
+
+class Compared(NamedTuple):
+    """A log beside what its arm's twin foretells of it; m ticks, n joints."""
+
+    names: tuple[str, ...]
+    # From where the motion begins, shape (m,).
+    time_s: FloatArray
+    # What encoders showed, and what the twin's showed at least, in the middle and at most [rad], all of shape (m, n).
+    measured_rad: FloatArray
+    least_rad: FloatArray
+    middle_rad: FloatArray
+    most_rad: FloatArray
+    # Distance of the tool from where the twin has it, by encoders [m], shape (m,).
+    tool_m: FloatArray
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Of each joint how far the twin is off, and in which share of ticks what was measured is within its band."""
+        off_deg = np.degrees(np.abs(self.measured_rad - self.middle_rad))
+        low, high = self.least_rad - ax12a.TICK_RAD, self.most_rad + ax12a.TICK_RAD
+        inside = ((self.measured_rad >= low) & (self.measured_rad <= high)).mean(axis=0)
+        rms_deg = np.sqrt((off_deg**2).mean(axis=0))
+        columns = zip(self.names, rms_deg.tolist(), off_deg.max(axis=0).tolist(), inside.tolist(), strict=True)
+        return [dict(zip(("name", "rms_deg", "max_deg", "inside"), row, strict=True)) for row in columns]
 
 
 def write(found: Found, path: Path) -> None:
