@@ -68,19 +68,52 @@ class Trial:
 def run(trial: Trial) -> dict[str, Any]:
     """Calibrate one arm, and see where it is before and afterwards."""
     rng = np.random.default_rng((trial.seed, 23))
-    arm = ServedArm(trial.seed, trial.spec)
-    found: dict[str, Any] = {"seed": trial.seed, "geometry": trial.geometry, "refused": ""}
-    touches = [touch(arm, point, k, rng) for point in sheet(POINTS, rng) for k in range(1, POSTURES + 1)]
+    found: dict[str, Any] = {"seed": trial.seed, "geometry": trial.geometry, "refused": "", "faults": 0}
+    arm = _Arm(trial, None, found)
+    touches: list[Touch] = []
+    while len(touches) < POINTS * POSTURES:
+        [point] = sheet(1, rng)
+        postures = range(1, POSTURES + 1)
+        touches += [touch(arm.served, point, rng) for posture in postures if arm.moved(point, posture)]
     places = list(sheet(PLACES, rng))
     found["said_before_mm"], found["moved_before_mm"] = stood(arm, places)
     try:
-        held = holding.fit(arm.arm, touches)
+        held = holding.fit(arm.served.arm, touches)
     except RequestRefused as refusal:
         return found | {"refused": str(refusal), "said_mm": found["said_before_mm"]}
     known = arm_of(calibration_text(held.arm, ["calibrated"]))
-    found["said_mm"], found["moved_mm"] = stood(ServedArm(trial.seed, trial.spec, taken=known), places)
+    found["said_mm"], found["moved_mm"] = stood(_Arm(trial, known, found), places)
     found |= {"held_out_mm": held.held_out_mm, "fit_mm": held.after_mm}
     return found | (lines(trial, known) if trial.geometry == DRAWS else {})
+
+
+class _Arm:
+    """An arm that is sent from place to place; one that a fault stopped, being too weak there, begins anew."""
+
+    def __init__(self, trial: Trial, known: ArmConfig | None, found: dict[str, Any]) -> None:
+        self._trial, self._known, self._found = trial, known, found
+        self._begin()
+
+    def _begin(self) -> None:
+        self.served = ServedArm(self._trial.seed, self._trial.spec, taken=self._known)
+
+    def moved(self, point: FloatArray, posture: int | None = None) -> bool:
+        """Ask for the tool there, in another posture if there is no such; whether the arm went, and stands there."""
+        x, y, z = point.tolist()
+        for asked in dict.fromkeys((posture, None)):
+            went = True
+            try:
+                self.served.move(MoveRequest(point_m=(x, y, z), posture=asked))
+                self.served.wait(SETTLE_S)
+            except RequestRefused:
+                went = False
+            if self.served.looks[-1].faults:
+                self._found["faults"] += 1
+                self._begin()
+                return False
+            if went:
+                return True
+        return False
 
 
 def sheet(count: int, rng: np.random.Generator) -> Iterator[FloatArray]:
@@ -89,9 +122,8 @@ def sheet(count: int, rng: np.random.Generator) -> Iterator[FloatArray]:
     yield from rng.uniform(low, high, (count, 3))
 
 
-def touch(arm: ServedArm, point: FloatArray, posture: int, rng: np.random.Generator) -> Touch:
-    """Move the tip near a point, press it there with a finger, and read the servos."""
-    moved(arm, point, posture)
+def touch(arm: ServedArm, point: FloatArray, rng: np.random.Generator) -> Touch:
+    """Press the tip, which is near a point, there with a finger, and read the servos."""
     seen = np.mean([[joint.position_rad for joint in one.outputs.joints] for one in arm.wait(LOOK_S)], axis=0)
     tip = point + CLUMSY_M / math.sqrt(3.0) * rng.standard_normal(3)
     seen += pressed(arm, tip - arm.tool_m)
@@ -103,31 +135,18 @@ def touch(arm: ServedArm, point: FloatArray, posture: int, rng: np.random.Genera
 def pressed(arm: ServedArm, by_m: FloatArray) -> FloatArray:
     """What every joint turns by [rad] when the tip is pressed so far: the least turns that do it."""
     q, h = np.array(arm.looks[-1].joints_rad), 1e-6
-    slopes = [(arm.truly.tool_m(np.array([q + step, q - step]))) for step in h * np.eye(len(q))]
+    slopes = [arm.truly.tool_m(np.array([q + step, q - step])) for step in h * np.eye(len(q))]
     J = np.array([(one - other) / (2.0 * h) for one, other in slopes]).T
     return np.asarray(np.linalg.pinv(J) @ by_m)
 
 
-def moved(arm: ServedArm, point: FloatArray, posture: int | None = None) -> bool:
-    """Ask for the tool there, in another posture if there is no such; whether the arm went."""
-    x, y, z = point.tolist()
-    for asked in dict.fromkeys((posture, None)):
-        try:
-            arm.move(MoveRequest(point_m=(x, y, z), posture=asked))
-        except RequestRefused:
-            continue
-        arm.wait(SETTLE_S)
-        return True
-    return False
-
-
-def stood(arm: ServedArm, places: list[FloatArray]) -> tuple[float, float]:
+def stood(arm: _Arm, places: list[FloatArray]) -> tuple[float, float]:
     """How far the tool is from where the program says it is, and from where it was asked for [mm], means."""
     said, asked = [], []
     for place in places:
-        if moved(arm, place):
-            truly = arm.tool_m
-            told = [one.outputs.tool.position_m for one in arm.wait(LOOK_S) if one.outputs.tool is not None]
+        if arm.moved(place):
+            truly = arm.served.tool_m
+            told = [one.outputs.tool.position_m for one in arm.served.wait(LOOK_S) if one.outputs.tool is not None]
             said.append(float(np.linalg.norm(np.mean(told, axis=0) - truly)))
             asked.append(float(np.linalg.norm(place - truly)))
     return 1e3 * statistics.mean(said), 1e3 * statistics.mean(asked)
@@ -183,7 +202,8 @@ def judged(done: list[dict[str, Any]]) -> tuple[list[dict[str, Any]], list[str]]
         arms = [one for one in done if one["geometry"] == way]
         keys = ("said_before_mm", "said_mm", "held_out_mm", "fit_mm", "moved_before_mm", "moved_mm")
         row = {key: _median([one[key] for one in arms if key in one]) for key in keys}
-        rows.append({"geometry": way, "arms": len(arms), "bound_mm": bound_mm} | row)
+        faults = sum(one.get("faults", 0) for one in arms)
+        rows.append({"geometry": way, "arms": len(arms), "bound_mm": bound_mm} | row | {"too_weak": faults})
         if not row["said_mm"] <= bound_mm:
             violations.append(f"{way}: the tool is {row['said_mm']} mm from where it is said to be, bound {bound_mm:g}")
         violations += [f"{way}, arm {one['seed']}: {one['refused']}" for one in arms if one["refused"]]
