@@ -5,7 +5,7 @@ Rules.
    last jump does not count.
 2. Of a sensor that is known to be quiet the latest reading counts. The shaft stands if the one before is within
    `STILL_TICKS`, and so is where it stood when torque began to come on. One that is not known yet counts as quiet as
-   long as its readings look so.
+   long as its readings look so. What was quiet up to three readings ago is where these agree, wherever it fell to.
 3. Of any other it takes `MANY` readings. The shaft is at the mean of the later half of them, and stands if that of the
    earlier half is as near, and so is the latest of a sensor that is hardly noisy. So two ticks of noise refuse no arm,
    and torque comes on near the shaft.
@@ -23,6 +23,8 @@ MOVING_TICKS, JUMP_TICKS = 14, 8
 # that may be, for each and on top. With two ticks of noise 13 are less than 14 once in 5000 times, and with half a tick
 # more than 31 once in 2000.
 KNOWN, QUIET_TICKS = 13, 1.1
+# So many latest readings that agree tell where a shaft stands that was quiet before, as told by so many differences.
+AGREE, SETTLED_KNOWN = 3, 10
 UNSURE_TICKS, MORE_TICKS = 2, 5
 # One that is hardly noisy reads a standing shaft near the mean, but for once in 30,000 times.
 HARDLY_TICKS = 1.5
@@ -46,10 +48,12 @@ def shaft(readings: Sequence[int], anchor: int | None = None) -> Shaft:
         readings: Two or more.
         anchor: Where it stood when torque began to come on; None: nobody has looked yet.
     """
-    now, last = readings[-1], readings[-2]
+    now, last, before, latest = readings[-1], readings[-2], _to_and_fro(readings[:-AGREE]), readings[-AGREE:]
+    settled = len(before) >= SETTLED_KNOWN and sum(before) <= UNSURE_TICKS * len(before)
+    settled = settled and max(latest) - min(latest) <= STILL_TICKS
     jumps = [k for k, (a, b) in enumerate(pairwise(readings[:-1]), start=1) if abs(b - a) > JUMP_TICKS]
     readings = readings[max(jumps, default=0) :]
-    fro = [abs(c - 2 * b + a) for a, b, c in zip(readings, readings[1:], readings[2:-1], strict=False)]
+    fro = _to_and_fro(readings[:-1])
     near = abs(now - last) <= STILL_TICKS and abs(now - (last if anchor is None else anchor)) <= STILL_TICKS
     known = len(fro) >= KNOWN and sum(fro) <= QUIET_TICKS * len(fro)
     if known or (near and sum(fro) <= UNSURE_TICKS * len(fro) + MORE_TICKS):
@@ -61,4 +65,9 @@ def shaft(readings: Sequence[int], anchor: int | None = None) -> Shaft:
     if led or (anchor is not None and abs(late - anchor) > MOVING_TICKS):
         return Shaft(round(late), False, MOVING_TICKS)
     still = len(readings) >= MANY and abs(late - early) <= STILL_TICKS
-    return Shaft(round(late), still or None, MOVING_TICKS)
+    return Shaft(sorted(latest)[AGREE // 2] if settled else round(late), still or None, MOVING_TICKS)
+
+
+def _to_and_fro(readings: Sequence[int]) -> list[int]:
+    """Second differences of readings, as they are without a sign."""
+    return [abs(c - 2 * b + a) for a, b, c in zip(readings, readings[1:], readings[2:], strict=False)]
