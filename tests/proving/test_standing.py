@@ -89,6 +89,17 @@ def test_what_a_hand_leads_may_push_once_that_is_told(holding: Bench, code: str,
     assert holding.red & {"stall"} == broken
 
 
+@pytest.mark.parametrize(("volts", "broken"), [(8.95, set()), (9.04, set()), (9.08, {"rest"})])
+def test_a_supply_that_wavers_about_its_bound_may_be_told_as_the_servos_round_it(
+    holding: Bench, volts: float, broken: set[str]
+) -> None:
+    holding.feel(volts=volts)
+    holding.ticks(6, Mode.HOLDING)
+    holding.feel(volts=8.94)
+    holding.tick(Mode.FAULTED, "VOLTAGE")
+    assert holding.red == broken
+
+
 @pytest.mark.parametrize(("unheard", "heard", "broken"), [(0, 1, False), (3, 1, False), (3, 2, True), (0, 2, True)])
 def test_a_load_that_is_cleared_is_told_again_once_its_servo_is_heard(
     holding: Bench, unheard: int, heard: int, broken: bool

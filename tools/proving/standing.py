@@ -44,6 +44,8 @@ STARTING_S = 8.0
 BLOCKED_DEG = 6.0
 # Of a motor's output, as the load's own rounding has it; and by when it is told of, lasting 2 s.
 OVERLOADED, OVERLOADED_S = 0.805, 2.6
+# Of a voltage as servos tell it.
+ROUNDED_V = 0.06
 # For so long a cause that is over may still be told of.
 JUST_NOW_S = 1.5
 # To what a servo tells its supply.
@@ -76,7 +78,8 @@ class StandingJudge(ShaftJudge):
         # Since when, and when last, some servo has been too hot, or its supply out of range.
         self._since_s = {"HOT": math.inf, "VOLTAGE": math.inf}
         self._last_s = {"HOT": -math.inf, "VOLTAGE": -math.inf}
-        # For how long then.
+        # For how long then, counting from when servos may have told so.
+        self._may_since_s = {"HOT": math.inf, "VOLTAGE": math.inf}
         self._lasted_s = {"HOT": 0.0, "VOLTAGE": 0.0}
         self._hottest_degC = 0.0
         # When the torque was asked for that may be coming on.
@@ -254,15 +257,20 @@ class StandingJudge(ShaftJudge):
         hot = [strain.temperature_degC + 0.5 >= self._arm.temperature_limit_degC for strain in strains]
         low_V, high_V = self._arm.voltage_V
         out = [not low_V <= round(strain.voltage_V, 1) <= high_V for strain in strains]
+        # A servo rounds, and the supply wavers: near a bound it may read as beyond it.
+        near = [not low_V + ROUNDED_V < strain.voltage_V < high_V - ROUNDED_V for strain in strains]
         self._hottest_degC = max((strain.temperature_degC for strain in strains), default=0.0)
-        for code, found in (("HOT", hot), ("VOLTAGE", out)):
+        for code, found, may in (("HOT", hot, hot), ("VOLTAGE", out, near)):
             if any(found):
                 self._since_s[code], self._last_s[code] = min(self._since_s[code], now_s), now_s
-                self._lasted_s[code] = now_s - self._since_s[code]
             else:
-                if self._since_s[code] < math.inf:  # it may have lasted until just now: looks may be far apart
-                    self._lasted_s[code] = now_s - self._since_s[code]
                 self._since_s[code] = math.inf
+            # It may have lasted until just now: looks may be far apart.
+            if any(may) or self._may_since_s[code] < math.inf:
+                self._may_since_s[code] = min(self._may_since_s[code], now_s)
+                self._lasted_s[code] = now_s - self._may_since_s[code]
+            if not any(may):
+                self._may_since_s[code] = math.inf
         for i, (servo, strain) in enumerate(zip(servos, strains, strict=False)):
             self._watch_push(now_s, i, servo, strain)
             self._watch_load(now_s, i)
