@@ -20,10 +20,9 @@ from armctl.cli.output import ARM, BAUD, CONFIG, PORT, SOCKET, Output, command, 
 from armctl.cli.setup import AtTerminal, opened
 from armctl.cli.tables import show_rows, show_table
 from armctl.errors import RequestRefused
-from armctl.files import load_arm
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from armctl.client import Client
     from armctl.commissioning.calibration import Fit, Readings
@@ -44,7 +43,7 @@ def calibrate_command(
     touches: int,
     readings: Path | None,
     save_readings: Path | None,
-    way: str | None,
+    way: tuple[str, ...],
     zero_at: str | None,
     out: Path | None,
 ) -> None:
@@ -61,29 +60,30 @@ def calibrate_command(
     bends are found as well. Each point is left out of the fit in turn: that shows how good the result is. An arm that
     would be no better stays as it was.
 
-    --sag does something else: a running daemon moves the arm along eight lines. What gravity and friction do to each
-    joint is kept beside the calibration, as NAME.sag.json, for `armctl experiment`.
-
-    --pairs is for joints that two servos turn: both are read while you lead the limp joint through its range.
+    --sag: a running daemon moves the arm along eight lines. What gravity and friction do to each joint is kept beside
+    the calibration, as NAME.sag.json. --pairs, for joints that two servos turn: both are read while you lead the limp
+    joint through its range.
 
     Example: armctl calibrate --points sheet.csv
     """
     from armctl.commissioning import arm_file, calibration, pairs
     from armctl.commissioning import holding as under_torque
 
-    _refuse_several(points, readings, zero_at, way)
-    holding = way == "holding"
-    if way in ("sag", "undo"):
-        (_calibrate_sag if way == "sag" else _undo)(output)
+    _refuse_several((points, readings, zero_at), way, (out, save_readings))
+    holding = way == ("holding",)
+    if way in (("sag",), ("undo",)):
+        (_calibrate_sag if way == ("sag",) else _undo)(output)
         return
+    if holding and points is not None:
+        output.follow_daemon()
     before = output.arm
     name = output.arm_name or output.config.arm
     path = out or arm_file.active_path(name)
     if taken := [new for new in (out, save_readings) if new is not None and new.exists()]:
         raise RequestRefused("FILE_EXISTS", f"{taken[0]}: exists and is not overwritten; choose another name")
-    fit: Fit | None = None
-    held: Held | None = None
-    if way == "pairs":
+    more: dict[str, Any] = {}
+    show: Callable[[], None] | None = None
+    if way == ("pairs",):
         after = pairs.measured(before, partial(opened, output), AtTerminal(output, *ASKED))
         remark = "what the two servos of a joint read at the same places"
     elif zero_at is not None:
@@ -99,32 +99,33 @@ def calibrate_command(
             arm_file.write(save_readings, calibration.readings_text(session))
         if holding:
             held = under_torque.fit(before, session.touches)
-            after, found = held.arm, f"{held.before_mm:.2f} mm off before, {held.held_out_mm:.2f} mm on points left out"
+            after, more, show = held.arm, held._asdict(), partial(show_held, output, held)
+            found = f"{held.before_mm:.2f} mm off before, {held.held_out_mm:.2f} mm on points left out"
         else:
             fit = calibration.fit(before, session.touches)
-            after, found = fit.arm, f"{fit.rms_before_mm:.2f} mm off before, {fit.rms_mm:.2f} mm after"
+            more = asdict(fit) | {"residuals_mm": fit.residuals_mm.tolist(), "complete": fit.complete}
+            after, show = fit.arm, partial(show_fit, output, fit)
+            found = f"{fit.rms_before_mm:.2f} mm off before, {fit.rms_mm:.2f} mm after"
         remark = f"{len(session.touches)} touches, {found}"
     text = calibration.calibration_text(after, [f"Calibrated {date.today().isoformat()} from {name}: {remark}."])
     kept = arm_file.renew(path, text)
-    result: dict[str, Any] = {"path": str(path), "changes": _changes(before, after)}
-    if fit is not None:
-        result |= asdict(fit) | {"residuals_mm": fit.residuals_mm.tolist(), "complete": fit.complete}
-    result |= held._asdict() if held is not None else {}
+    result = {"path": str(path), "changes": _changes(before, after)} | more
     result.pop("arm", None)
     if output.result(result):
         return
-    if fit is not None:
-        show_fit(output, fit)
-    if held is not None:
-        show_held(output, held, remark)
+    if show is not None:
+        show()
     _show_changes(output, result, kept, str(name if out is None else out))
 
 
-def _refuse_several(points: Path | None, readings: Path | None, zero_at: str | None, way: str | None) -> None:
+def _refuse_several(sources: tuple[Any, ...], way: tuple[str, ...], new: tuple[Path | None, ...]) -> None:
     """Refuse anything but one kind of calibration; points may be touched by an arm that holds itself."""
-    if sum(map(bool, (points, readings, zero_at, way != "holding" and way))) != 1 or (way == "holding" and zero_at):
+    holding = way == ("holding",)
+    if sum(map(bool, (*sources, *(() if holding else way)))) != 1 or (holding and sources[2]):
         kinds = "--points FILE, --readings FILE (either with --holding), --zero-at rest|zero, --sag, --pairs and --undo"
         raise click.UsageError(f"give one of {kinds}")
+    if way in (("sag",), ("undo",)) and any(new):
+        raise click.UsageError(f"--{way[0]} writes no file of another name; leave out --out and --save-readings")
 
 
 def _undo(output: Output) -> None:
@@ -186,7 +187,8 @@ def _touch_all(output: Output, arm: ArmConfig, points: Path, touches: int, kept:
             touch = calibration.Touch(point_m=places[done], ticks=ticks)
             session = calibration.Readings(arm_id=arm.arm_id, touches=(*session.touches, touch))
             arm_file.write(kept, calibration.readings_text(session))
-            output.after_interrupt = f"{done + 1} touches are in {kept}; `armctl calibrate --readings` takes them"
+            command = "armctl calibrate" + " --holding" * holding
+            output.after_interrupt = f"{done + 1} touches are in {kept}; `{command} --readings` takes them"
     return session
 
 
@@ -216,8 +218,9 @@ def _calibrate_sag(output: Output) -> None:
     from armctl.lab import sag_identification
     from armctl.lab.rig import DaemonRig
 
+    output.follow_daemon()
     with output.client() as client, output.progress("calibration lines", sag_identification.LINES) as show:
-        rig = DaemonRig(client, load_arm(output.config.arm))
+        rig = DaemonRig(client, output.arm)
         model = sag_identification.identify(rig, np.random.default_rng(0), show=show)
     path = sag_file.save(output.config, model)
     residual = dict(zip(rig.arm.joint_names, model.residual_tick, strict=False))
@@ -234,20 +237,28 @@ def _changes(old_arm: ArmConfig, new_arm: ArmConfig) -> list[dict[str, Any]]:
 
     old, new = (robots.get(arm.robot, arm.lengths_m).lengths_m for arm in (old_arm, new_arm))
     rows: list[tuple[str, Any, Any]] = [(f"lengths_m.{key}", old[key], new[key]) for key in old if key in new]
-    for was, now in zip(old_arm.joints, new_arm.joints, strict=True):
-        rows += [
-            (f"{was.name}.{key}", getattr(was, key), getattr(now, key))
-            for key in ("zero_tick", "limits_deg", "rest_deg")
-        ]
-        before, after = (joint.pair and joint.pair.model_dump(mode="json") for joint in (was, now))
-        rows.append((f"{was.name}.pair", before, after))
+    for joint, *both in zip(old_arm.joint_names, old_arm.joints, new_arm.joints, strict=True):
+        was, now = (one.model_dump(mode="json") for one in both)
+        keys = ("zero_tick", "limits_deg", "rest_deg", "pair")
+        rows += [(f"{joint}.{key}", was.get(key), now.get(key)) for key in keys]
+    rows.append(("ramp_from_reference", old_arm.ramp_from_reference, new_arm.ramp_from_reference))
+
+    def told(arm: ArmConfig) -> dict[str, Any]:
+        table = () if isinstance(arm.robot, str) else enumerate(arm.robot.dh, 1)
+        dumped = ((i, row.model_dump(mode="json", exclude_defaults=True)) for i, row in table)
+        return {f"robot.dh.{i}.{key}": value for i, row in dumped for key, value in row.items()}
+
+    before, after = told(old_arm), told(new_arm)
+    rows += [(key, before.get(key), after.get(key)) for key in before | after]
     return [{"key": key, "before": was, "after": now} for key, was, now in rows if was != now]
 
 
-def show_held(output: Output, held: Held, remark: str) -> None:
+def show_held(output: Output, held: Held) -> None:
     rows = [(p["name"], f"{round(p['value'], 9) + 0.0:.5g}", f"{p['sd']:.2g}", p["unit"]) for p in held.parameters]
     show_table(output.console, "", ("parameter", "value", "+-", "unit"), rows, words=("parameter", "unit"))
-    output.say(remark)
+    output.say(f"{held.before_mm:.2f} mm off before, {held.held_out_mm:.2f} mm on points left out")
+    worst = max(held.residuals_mm)
+    output.say(f"worst point: touch {held.residuals_mm.index(worst) + 1}, {worst:.2f} mm")
 
 
 def show_fit(output: Output, fit: Fit) -> None:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import click
 
 from armctl.cli.output import CONFIG, HOLDS, SOCKET, Output, command
 from armctl.cli.tables import show_rows
 from armctl.errors import ConfigError
-from armctl.files import load_arm
+from armctl.files import find_arm_file, load_arm, read_text
 
 if TYPE_CHECKING:
     from armctl.config import ArmConfig
@@ -43,6 +46,8 @@ def identify_command(
     from armctl.trajectory.identification import QUANTITIES, Trace, identify
 
     if compare is not None:
+        if joints or quick or logs or more:
+            raise click.UsageError("--compare takes one log, and no other option but --report")
         _compare(output, compare, report)
         return
     if more and not logs and joints is None:
@@ -73,7 +78,8 @@ def _moved(output: Output, joints: str | None, *, quick: bool) -> tuple[ArmConfi
     """The daemon's arm, and what its servos said while it moved."""
     from armctl.lab import identification as lab
 
-    arm = load_arm(output.config.arm)
+    output.follow_daemon()
+    arm = output.arm
     names = arm.joint_names if joints is None else joints.split(",")
     if unknown := set(names) - set(arm.joint_names):
         known = f"name some of {','.join(arm.joint_names)}"
@@ -91,7 +97,9 @@ def _kept(output: Output, arm: ArmConfig, ramp: bool | None) -> str | None:
 
     if ramp is None or ramp == arm.ramp_from_reference:
         return None
-    text = calibration_text(arm.model_copy(update={"ramp_from_reference": ramp}), [f"{arm.arm_id}, identified."])
+    lines = read_text(find_arm_file(output.config.arm), "calibration").split("\n")
+    remarks = [line.removeprefix("#").strip() for line in takewhile(lambda line: line.startswith("#"), lines)]
+    text = calibration_text(arm.model_copy(update={"ramp_from_reference": ramp}), remarks)
     try:
         arm_file.renew(path := arm_file.active_path(output.config.arm), text)
     except ConfigError as error:
@@ -107,6 +115,8 @@ def _compare(output: Output, log: Path, report: Path | None) -> None:
     from armctl.report import identified
 
     timeline, spec = loaded(output, log), lab.twin_path(output.config)
+    if not spec.exists():
+        raise ConfigError(str(spec), "", "there is no twin of this arm yet", "identify it first: armctl identify")
     with output.progress("the twin plays the log", 1.0) as show:
         found = lab.compared(timeline, spec, show)
     if report is not None:

@@ -104,15 +104,35 @@ class Output:
 
     @cached_property
     def config(self) -> Config:
-        """The configuration that was named, or the usual one."""
-
-        return load_config(self.config_file)
+        """The configuration that was named, or the usual one; of the arm that was named, if one was."""
+        config = load_config(self.config_file)
+        return config if self.arm_name is None else config.model_copy(update={"arm": self.arm_name})
 
     @property
     def arm(self) -> ArmConfig:
         """The arm that was named, or the configured one."""
 
         return load_arm(self.arm_name or self.config.arm)
+
+    def follow_daemon(self) -> None:
+        """Take the arm that the daemon drives for the one that is meant; one that was named has to be it.
+
+        Raises:
+            ConfigError: no file of an arm says the same of it.
+        """
+        told = self.ask("status")
+        names = [self.arm_name or self.config.arm]
+        if self.arm_name is None:
+            names += [str(path) for folder in calibration_dirs() for path in sorted(folder.glob("*.yaml"))]
+        for name in names:
+            with suppress(ConfigError):
+                arm = load_arm(name)
+                if (arm.arm_id, arm.calibration_hash) == (told["arm_id"], told["calibration_hash"]):
+                    self.arm_name = name
+                    self.__dict__.pop("config", None)  # it names the arm
+                    return
+        problem = f"the daemon drives arm {told['arm_id']}, calibration {told['calibration_hash']}; this is another"
+        raise ConfigError(names[0], "", problem, "restart the daemon, or name the file of its arm by --arm")
 
     def result(self, data: dict[str, Any]) -> bool:
         """Print `data` if JSON was asked for; whether it was."""

@@ -58,6 +58,7 @@ class Status(State):
     # Share of the motion that is done; None: none is under way.
     progress: float | None
     arm_id: str
+    calibration_hash: str
 
 
 class Recorded(TypedDict):

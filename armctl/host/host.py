@@ -388,6 +388,7 @@ class Host:
             "commander": None if commander is None else f"{commander.client.name}: {commander.what}",
             "log": self.log(),
             "arm_id": self.arm.arm_id,
+            "calibration_hash": self.arm.calibration_hash,
             "tool_speed_limit_m_s": self.arm.tool_speed_limit_m_s,
             "pids": {"daemon": os.getpid(), "control": self.exchange.pid},
         }

@@ -10,6 +10,7 @@ Rules.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
@@ -160,7 +161,7 @@ def _played(
         virtual.on_tick = partial(watch, simulated)
     virtual.energise()
     approach = approach_trajectory(virtual.goals_rad, motion[0].tolist(), virtual, "approach")
-    virtual.carry_out(Run(virtual.next_id(), approach))
+    virtual.carry_out(Run(virtual.next_id(), replace(approach, corrected=False)))  # as what follows
     virtual.ticks(round(DWELL_S / period_s))  # it comes to rest
     records: list[TickRecord] = []
     most = most_points(len(arm.joints))

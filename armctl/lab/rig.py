@@ -149,8 +149,8 @@ class DaemonRig:
 
     def __init__(self, client: Client, arm: ArmConfig) -> None:
         """
-        Raises:
-            RequestRefused: the daemon's arm is another one, or another calibration of it.
+        Args:
+            arm: The daemon's.
         """
         self._client, self.arm = client, arm
         self.robot = robots.get(arm.robot, arm.lengths_m)

@@ -8,7 +8,7 @@ import pytest
 
 from armctl.cli import identify
 from armctl.cli.output import Output
-from armctl.files import load_arm
+from armctl.files import find_arm_file, load_arm
 from armctl.messages import TickRecord
 from tests.cli.conftest import Answer, Typed
 from tests.recording.factory import ARM, CONTEXT, make_records
@@ -27,7 +27,8 @@ def test_several_logs_stand_behind_one_option(tmp_path: Path, answer: Answer, ty
     )
 
 
-def test_a_word_that_belongs_to_no_option_is_refused(typed: Typed) -> None:
+def test_a_word_that_belongs_to_no_option_is_refused(typed: Typed, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Output, "follow_daemon", lambda _: None)
     assert missing(typed("identify", "base", status=2).err, "base", "--from-logs or --joints") == []
     assert missing(typed("identify", "--joints", "base", "nobody", status=2).err, "no joint nobody") == []
 
@@ -82,7 +83,10 @@ def test_a_servo_that_never_answered_is_named(tmp_path: Path, typed: Typed) -> N
 
 def test_a_twin_is_held_against_a_log_in_figures_and_on_a_page(tmp_path: Path, answer: Answer, typed: Typed) -> None:
     log, page = write(tmp_path / "a.mcap", make_records(120, seed=3)), tmp_path / "page.html"
-    assert missing(typed("identify", "--compare", log, status=2).err, "twin.json", "cannot read the spec") == []
+    assert (
+        missing(typed("identify", "--compare", log, status=2).err, "twin.json: there is no twin", "armctl identify")
+        == []
+    )
     spec = Path(answer("identify", "--from-logs", log)["spec"])
     told = answer("identify", "--compare", log, "--report", page)
     assert told["spec"] == str(spec)
@@ -91,6 +95,8 @@ def test_a_twin_is_held_against_a_log_in_figures_and_on_a_page(tmp_path: Path, a
     assert sorted(row["inside"] for row in told["compared"])[1] > 0.9
     assert 0.0 < told["tool_mean_mm"] < 3.0
     assert missing(page.read_text(encoding="utf-8"), "This arm and its twin", "within the band") == []
+    for more in (["--quick"], ["--joints", "base"], ["--from-logs", log]):
+        assert "--compare takes one log" in typed("identify", "--compare", log, *more, status=2).err
     # A twin that weighs three times as much foretells worse.
     twin = json.loads(spec.read_text())
     spec.write_text(json.dumps(twin | {"points_kg": [3.0 * kg for kg in twin["points_kg"]]}))
@@ -100,12 +106,12 @@ def test_a_twin_is_held_against_a_log_in_figures_and_on_a_page(tmp_path: Path, a
 
 
 def test_how_ramps_begin_is_kept_with_the_arm() -> None:
-    output = Output()
+    output, shipped = Output(), find_arm_file("ax12-line")
     assert identify._kept(output, ARM, None) is None
     path = identify._kept(output, ARM, False)
     assert path is not None
     known = load_arm("ax12-line")
     assert known.ramp_from_reference is False
     assert known.calibration_hash == ARM.calibration_hash
-    assert Path(path).read_text().startswith("# ax12-line, identified.")
+    assert Path(path).read_text().split("\n")[0] == shipped.read_text().split("\n")[0], "remarks stay"
     assert identify._kept(output, known, False) is None

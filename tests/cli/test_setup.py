@@ -234,9 +234,12 @@ def test_calibrate_holding_moves_above_each_point_and_is_led_onto_it(
 ) -> None:
     asked: list[tuple[str, object]] = []
     arm = load_arm(str(arm_file))
+    told_hash = "of another calibration"
 
     class Standing(StandIn):
         def call(self, method: str, **params: object) -> dict[str, object]:
+            if method == "status":
+                return {"arm_id": arm.arm_id, "calibration_hash": told_hash}
             asked.append((method, params))
             if method == "move" and len(asked) == 1:
                 raise RequestRefused("PREFLIGHT", "not there")
@@ -252,7 +255,13 @@ def test_calibrate_holding_moves_above_each_point_and_is_led_onto_it(
     monkeypatch.setattr(sys, "stdin", person(lambda: "\n"))
     (points := arm_file.with_name("points.csv")).write_text("0.15,0,0\n0.2,0,0\n0.2,0.1,0\n")
     saved = arm_file.with_name("kept.yaml")
-    said = typed("calibrate", "--arm", arm_file, "--points", points, "--holding", "--save-readings", saved, status=1)
+    words = ("calibrate", "--arm", arm_file, "--points", points, "--holding", "--save-readings", saved)
+    assert not missing(
+        typed(*words, status=2).err, "the daemon drives arm", "of another calibration", "restart the daemon"
+    )
+    assert not asked
+    told_hash = arm.calibration_hash
+    said = typed(*words, status=1)
     assert not missing(said.out, "not led above it: not there", "press q", "not taken: torque is off")
     moves = [params for method, params in asked if method == "move"]
     assert moves[1] == {"point_m": (0.15, 0.0, 0.03), "posture": 2}
@@ -266,6 +275,8 @@ def test_calibrate_holding_moves_above_each_point_and_is_led_onto_it(
 
 def test_a_calibration_is_taken_back_and_brought_back(arm_file: Path, answer: Answer, typed: Typed) -> None:
     assert not missing(typed("calibrate", "--arm", arm_file, "--undo", status=2).err, "has no history", "take back")
+    for more in (["--sag"], ["--holding"], ["--out", arm_file.with_name("new.yaml")]):
+        assert typed("calibrate", "--arm", arm_file, "--undo", *more, status=2).err
     old = arm_file.read_text()
     answer(*calibrated(arm_file, touch_points(Bench(spec=EXACT), 16, np.random.default_rng(0))), arm_file)
     new = arm_file.read_text()
