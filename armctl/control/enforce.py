@@ -28,7 +28,6 @@ YIELD_NS = 1_000_000_000
 # After so long without a goal from elsewhere the next one is another story.
 CALM_NS = 1_000_000_000
 QUIET_S = 0.5
-LASTS_NS = 350_000_000
 # How fast it is brought back from less: as slowly as to rest.
 BACK_UNITS = ax12a.moving_speed_units(math.radians(20.0))
 # A goal this near to the shaft asks for no way.
@@ -97,7 +96,6 @@ def hold_goals(s: Tick) -> None:
         s.forget_goals()
     if not state.goal or state.yielded or not state.powered:
         return
-    servos = s.inputs.sample.servos
     owed = [i for i in range(len(s.wire)) if (servo := holds(s, i)) is not None and servo.goal != state.goal[i]]
     foreign = [i for i in owed if not s.is_from_here(i)]
     if foreign and _goes_on(s):
@@ -105,18 +103,11 @@ def hold_goals(s: Tick) -> None:
         s.latch_servo("OVERRULED", foreign[0], "another program goes on writing goals; the arm is left to it")
         return
     led_off = [i for i in owed if s.is_led_off(i)]
-    quiet = "BUS_NOISE" not in s.found or not any(state.noise[-s.ticks_in(QUIET_S) :])
-    # Where the line is too slow for all of them, what is seen of one of them for so long is so.
-    lasts = (
-        foreign
-        and s.inputs.now_ns - state.foreign_since_ns >= LASTS_NS
-        and all(one.problem != "BUS_NOISE" for one in servos)
-    )
-    unsure = set(led_off).difference(state.led_off if quiet and (s.fresh or lasts) else ())
+    well = s.fresh and ("BUS_NOISE" not in s.found or not any(state.noise[-s.ticks_in(QUIET_S) :]))
+    unsure = set(led_off).difference(state.led_off if well else ())
     for i in set(led_off).difference(unsure):
         stay(s, i)
-    unheard = [i for i in state.led_off if not s.heard(i)]
-    state.led_off = tuple(sorted([*led_off, *unheard])) if quiet else ()
+    state.led_off = tuple(led_off) if well else ()
     if sure := [i for i in owed if i not in unsure]:
         _send(s, sure, to_all=not unsure)
 

@@ -201,18 +201,6 @@ def test_what_seems_led_off_while_another_servo_is_not_heard_is_told_nothing() -
     assert arm.state.goal[0] == ours[0] + 96
 
 
-def test_who_is_led_off_on_a_line_too_slow_for_all_servos_is_held_where_it_is() -> None:
-    arm = holding()
-    ours, n = arm.state.goal, len(arm.arm.servo_ids)
-    for register in (ax12a.GOAL, ax12a.PRESENT_POSITION):
-        arm.put(0, register, ours[0] + 48)
-    for tick in range(9):  # two of them a tick
-        arm.silent = set(range(n)) - {2 * tick % n, (2 * tick + 1) % n}
-        arm.run_tick()
-    assert (arm.state.goal[0], arm.get(0, ax12a.GOAL)) == (ours[0] + 48,) * 2
-    assert arm.state.goal[1:] == ours[1:]
-
-
 def test_who_is_led_off_keeps_no_other_joint_from_being_held() -> None:
     arm = holding()
     ours = arm.state.goal
