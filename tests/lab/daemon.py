@@ -48,7 +48,8 @@ class SimulatedDaemon:
         match method:
             case "status":
                 joints = [{"position_rad": position} for position in self.rig.goals_rad]
-                return {"period_s": self.rig.period_s, "joints": joints}
+                told = {"arm_id": self.rig.arm.arm_id, "calibration_hash": self.rig.arm.calibration_hash}
+                return told | {"period_s": self.rig.period_s, "joints": joints}
             case "run":
                 self.plans.append(Plan.model_validate(params["plan"]))
                 self.runs.append(self.rig.run(self.plans[-1], corrected=params["corrected"]))

@@ -196,8 +196,8 @@ MUTANTS: tuple[Mutant, ...] = (
         "(peak_tool_speed(__tool_m, __period_s), __arm.tool_speed_limit_m_s)",
         "(peak_tool_speed(__tool_m, __period_s), 9.0 * __arm.tool_speed_limit_m_s)")),
     _m("the host does not look at joint speeds", TRAJECTORY, (
-        "(float(__speed[__i]), __joint.speed_limit_deg_s, 'deg/s', 1.0)",
-        "(0.0, __joint.speed_limit_deg_s, 'deg/s', 1.0)")),
+        "__too_fast(__joint.name, __fast, __joint.speed_limit_deg_s, 'deg/s', 1.0, __duration_s)",
+        "__too_fast(__joint.name, 0.0, __joint.speed_limit_deg_s, 'deg/s', 1.0, __duration_s)")),
     _m("the control process does not look at limits", CONTROL, (
         "not __low - ax12a.TICK_RAD <= __worst <= __high + ax12a.TICK_RAD", "not -9.0 <= __worst <= 9.0")),
 
