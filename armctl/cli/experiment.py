@@ -37,6 +37,8 @@ def line_command(output: Output, virtual: bool, **asked: Any) -> None:
     for option, (name, why) in tables("experiment")["virtual"].items():
         if asked[name] is not None and not virtual:
             raise ConfigError("armctl experiment", option, why, "leave it out")
+    if not virtual:
+        output.follow_daemon()
     config, arm = output.config, output.arm
     period_s, spec_file = asked.pop("period_s"), asked.pop("spec_file")
     twin = None if spec_file is None else load_twin(spec_file, arm)

@@ -262,6 +262,7 @@ def report_command(output: Output, out: Path | None) -> None:
     with contextlib.suppress(ArmctlError), output.client(timeout_s=2.0) as client:
         log = client.call("log")["path"]
         logs = log and Path(log).parent
+        output.follow_daemon()
     files = bundle.write(path, output.config, output.config_file or "", logs, lambda part: output.say(f"  {part}"))
     size_MB = path.stat().st_size / 1e6
     output.answer({"path": str(path), "files": files}, f"{path}: {len(files)} files, {size_MB:.1f} MB")
