@@ -18,7 +18,6 @@ Rules.
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 from armctl.control.enforce import holds, stay
 from armctl.control.machine import Look
@@ -50,7 +49,7 @@ def look_for_push(s: Tick) -> None:
 
     One that is not heard keeps what was seen of it: on a bad line no joint is heard for long at a stretch.
     """
-    looks, s.state.looks, now_ns = s.state.looks, (), s.inputs.now_ns
+    looks, s.state.looks, now_ns, moves = s.state.looks, (), s.inputs.now_ns, _is_asked(s)
     if s.state.borne_ratio:
         _put_down(s)
     for look in looks:
@@ -60,7 +59,8 @@ def look_for_push(s: Tick) -> None:
             continue
         there = stands(s, i) and s.status(i).goal == s.state.goal[i]
         if not there or now_ns - (look.since_ns or now_ns) < STAND_NS:
-            s.state.looks += (replace(look, since_ns=there and (look.since_ns or now_ns)),)
+            relieved = look.relieved and not moves  # once it is led on it may push anew
+            s.state.looks += (Look(i, since_ns=there and (look.since_ns or now_ns), relieved=relieved),)
         elif look.relieved:
             borne = s.state.borne_ratio or (0.0,) * len(s.joints)
             s.state.borne_ratio = (*borne[:i], borne[i] + _beyond(s)[i], *borne[i + 1 :])
@@ -111,9 +111,11 @@ def relieve(s: Tick, index: int) -> None:
 
 def stands(s: Tick, index: int) -> bool:
     """Whether a joint that is heard and has torque does not move, and no motion is asked of the arm."""
-    state = s.state
-    asked = state.jog is not None or (state.motion is not None and not state.motion.paused)
-    return not asked and _is_still(s, index)
+    return not _is_asked(s) and _is_still(s, index)
+
+
+def _is_asked(s: Tick) -> bool:
+    return s.state.jog is not None or (s.state.motion is not None and not s.state.motion.paused)
 
 
 def _is_still(s: Tick, index: int) -> bool:

@@ -16,7 +16,7 @@ from armctl.files import load_arm
 from armctl.kinematics import robots
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
-from armctl.messages import Clear, Hold, Inputs, Mode, Run, Sample, ServoReading
+from armctl.messages import Clear, Hold, Inputs, Mode, Pause, Resume, Run, Sample, ServoReading
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.spec import RANDOM_SPEC
 from tests.control.damaged_arm import Rig, is_goal
@@ -27,12 +27,12 @@ NEAR_ZERO = 0.3
 ELBOW_OUT_DEG = (0.0, 110.0, -40.0, -100.0, 0.0, 0.0)
 
 
-def blocked(joint: int = 0, seed: int = 3) -> Rig:
-    """A run against something that holds a joint, until the joint is 5 to 7 degrees from its goal."""
+def blocked(joint: int = 0, seed: int = 3, away_deg: float = 5.0) -> Rig:
+    """A run against something that holds a joint, until the joint is so far from its goal, or two degrees more."""
     rig = Rig(seed).holding()
     rig.ticks(8, Run(5, rig.turned(60.0 if joint == 0 else -60.0, joint, seconds=6.0)))
     rig.fault("blocked_joint", joint + 1)
-    while abs(math.degrees(rig.goals_rad[joint]) - rig.joint_deg(joint)) < 5.0:
+    while abs(math.degrees(rig.goals_rad[joint]) - rig.joint_deg(joint)) < away_deg:
         rig.ticks(1)
     return rig
 
@@ -73,6 +73,20 @@ def test_a_joint_that_is_heard_every_other_time_does_not_go_on_pushing_after_a_s
         rig.ticks(2)
     assert rig.outputs()[0] < NEAR_ZERO
     assert rig.mode() is Mode.HOLDING
+
+
+def test_what_was_relieved_in_a_pause_and_is_led_on_is_no_weight() -> None:
+    rig = blocked(away_deg=3.5)
+    rig.ticks(3, Hold(5))
+    rig.ticks(1, Run(6, rig.turned(10.0, seconds=6.0)))
+    rig.ticks(6, Pause(7))
+    assert any(look.relieved for look in rig.loop.state.looks)
+    rig.ticks(3, Resume(8))
+    assert rig.outputs()[0] > NEAR_ZERO
+    rig.ticks(12, Hold(9))
+    assert rig.mode() is Mode.HOLDING
+    assert rig.outputs()[0] < NEAR_ZERO
+    assert not any(rig.loop.state.borne_ratio)
 
 
 def test_a_relief_is_sent_until_it_is_read_back() -> None:
