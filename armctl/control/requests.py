@@ -151,7 +151,7 @@ def _torque_on(s: Tick, request_id: int) -> None:
             position_deg, (low, high) = math.degrees(servo.position_rad(position)), s.arm.joints[servo.of].limits_deg
             problem = f"is at {position_deg:.1f} deg, outside {low:g} to {high:g}; move it inside by hand"
             raise RequestRefused("LIMIT", f"joint {servo.name} {problem}")
-        ticks.append(servo.within_limits(position))
+        ticks.append(position)
     s.go(Trigger.TORQUE_ON)
     soften(s)
     state.powered = None

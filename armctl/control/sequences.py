@@ -15,6 +15,7 @@ from armctl.control.tick import Tick
 from armctl.dynamixel import ax12a
 from armctl.messages import Event
 from armctl.trajectory.approach import approach_trajectory, lowest_link_m
+from armctl.trajectory.preflight import EDGE_TICKS
 
 # Torque limit while torque comes on (12.5 %).
 SOFT_TORQUE = 128
@@ -150,16 +151,19 @@ def _at_full_torque(s: Tick) -> bool:
 def _surprise(s: Tick, index: int, anchor: int, limp: Shaft | None) -> tuple[str, str] | None:
     """What is not as it should be with one servo while torque comes on, and its code; None: nothing."""
     servo, full = s.status(index), s.wire[index].full_torque
+    within = s.wire[index].within_limits
     who = f"servo {s.wire[index].servo_id} ({s.wire[index].name})"
     softening, preparing = s.state.phase is Phase.SOFTENING, s.state.phase is Phase.PREPARING
     too_long = limp is not None and limp.still is None and s.state.ticks > s.ticks_in(STILL_S)
     if limp is not None and (limp.still is False or too_long):
         return "JUMP_REFUSED", f"{who} moved while torque came on; hold the arm still and try again"
+    if limp is not None and abs(limp.tick - within(limp.tick)) > EDGE_TICKS + 1:
+        return "LIMIT", f"{who} went beyond its limit while torque came on; move it inside by hand"
     if abs(servo.position - anchor) * ax12a.TICK_RAD > JUMP_RAD:
         return "JUMP_REFUSED", f"{who} moved while torque came on; support the arm and try again"
     # That of a limp servo may follow its shaft.
-    if not softening and abs(servo.goal - anchor) > (limp.noise_ticks if limp is not None else 0):
-        return "NOT_TAKEN", f"{who} shows goal {servo.goal} where {anchor} was written"
+    if not softening and abs(servo.goal - within(anchor)) > (limp.noise_ticks if limp is not None else 0):
+        return "NOT_TAKEN", f"{who} shows goal {servo.goal} where {within(anchor)} was written"
     if preparing and not ax12a.register_value(ax12a.MOVING_SPEED, s.inputs.sample.servos[index].registers):
         # Torque would come on at full speed. A limp servo may let its goal follow the shaft, and shows one it missed.
         return "NOT_TAKEN", f"{who} has no speed limit: its goal was lost; try again"

@@ -7,8 +7,8 @@ Rules.
    `STILL_TICKS`, and so is where it stood when torque began to come on. One that is not known yet counts as quiet as
    long as its readings look so. What was quiet up to three readings ago is where these agree, wherever it fell to.
 3. Of any other it takes `MANY` readings. The shaft is at the mean of the later half of them, and stands if that of the
-   earlier half is as near, and so is the latest of a sensor that is hardly noisy. So two ticks of noise refuse no arm,
-   and torque comes on near the shaft.
+   earlier half is as near, and the latest reading is as near as the noise lets it be. So two ticks of noise refuse no
+   arm, and torque comes on near the shaft.
 """
 
 from collections.abc import Sequence
@@ -26,8 +26,9 @@ KNOWN, QUIET_TICKS = 13, 1.1
 # So many latest readings that agree tell where a shaft stands that was quiet before, as told by so many differences.
 AGREE, SETTLED_KNOWN = 3, 10
 UNSURE_TICKS, MORE_TICKS = 2, 5
-# One that is hardly noisy reads a standing shaft near the mean, but for once in 30,000 times.
-HARDLY_TICKS = 1.5
+# The latest reading of a standing shaft is this near to the mean but once in a hundred times, as a share of the mean
+# second difference, which is 1.95 times the noise; another reading is waited for then.
+NEAR_SHARE = 1.25
 MANY = 16
 
 
@@ -60,11 +61,10 @@ def shaft(readings: Sequence[int], anchor: int | None = None) -> Shaft:
         return Shaft(now, near, STILL_TICKS)
     half = min(len(readings), MANY) // 2
     late, early = sum(readings[-half:]) / half, sum(readings[-2 * half : -half]) / half
-    hardly = len(fro) >= KNOWN and sum(fro) <= HARDLY_TICKS * len(fro)
-    led = abs(now - late) > STILL_TICKS + 0.5 if hardly else abs(now - last) > MOVING_TICKS
-    if led or (anchor is not None and abs(late - anchor) > MOVING_TICKS):
+    if abs(now - last) > MOVING_TICKS or (anchor is not None and abs(late - anchor) > MOVING_TICKS):
         return Shaft(round(late), False, MOVING_TICKS)
     still = len(readings) >= MANY and abs(late - early) <= STILL_TICKS
+    still = still and abs(now - late) <= NEAR_SHARE * sum(fro) / len(fro)
     return Shaft(sorted(latest)[AGREE // 2] if settled else round(late), still or None, MOVING_TICKS)
 
 

@@ -158,14 +158,9 @@ class Tick:
         return status
 
     def limp_shaft(self, index: int, anchor: int | None = None) -> Shaft:
-        """What is known of a shaft that no torque moves.
-
-        Args:
-            anchor: See `shaft`; with one, the limit counts of a shaft that is just beyond it.
-        """
+        """What is known of a shaft that no torque moves; its `anchor` as in `shaft`."""
         before = (*self.state.earlier_ticks, self.state.last_ticks)
-        readings = [*(ticks[index] for ticks in before), self.status(index).position]
-        return shaft(readings if anchor is None else [*map(self.wire[index].within_limits, readings)], anchor)
+        return shaft([*(ticks[index] for ticks in before), self.status(index).position], anchor)
 
     def heard(self, index: int) -> Status | None:
         """What a servo says that was heard in this very sample; None of any other."""

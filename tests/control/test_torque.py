@@ -70,6 +70,17 @@ def test_a_goal_that_followed_its_limp_shaft_before_a_fault_is_nobody_else_s(lim
     assert arm.get(0, ax12a.GOAL) == arm.state.goal[0]
 
 
+def test_torque_does_not_come_on_where_a_shaft_that_swings_went_beyond_its_limit() -> None:
+    arm = IdealArm().connect()
+    low = arm.arm.servos[1].limits_tick[0]
+    for off in (3, 4, 4, 3, 4, 5, 3, 0, 7, -1, -2, -6, -7, -7, -8, *(-7,) * 30):
+        arm.put(1, ax12a.PRESENT_POSITION, low + off)
+        arm.run_tick(*((TorqueOn(1),) if off == -6 else ()))
+        assert not arm.get(1, ax12a.TORQUE_ENABLE)
+    assert (arm.replies[1].ok, arm.replies[1].code) == (False, "LIMIT")
+    assert "beyond its limit" in arm.replies[1].message
+
+
 def test_torque_on_softens_and_sets_the_goal_before_it_enables() -> None:
     arm = IdealArm().connect()
     arm.run_tick()
