@@ -169,6 +169,19 @@ def test_a_joint_far_from_its_goal_counts_from_when_a_program_watches(holding: B
     assert holding.broken == set()
 
 
+@pytest.mark.parametrize(("told", "broken"), [("LOST_TORQUE", set()), ("", {"2"})])
+def test_a_weak_joint_that_sank_while_nobody_was_in_charge_is_told_by_whoever_comes(
+    holding: Bench, told: str, broken: set[str]
+) -> None:
+    holding.servos[0].limit = 486
+    holding.at(MIDDLE - 60.0)
+    holding.judge.died(holding.now_s, holding.servos)
+    holding.ticks(10)
+    holding.judge.back()
+    holding.ticks(2, Mode.FAULTED if told else Mode.HOLDING, told)
+    assert holding.broken == broken
+
+
 @pytest.mark.parametrize(("mode", "broken"), [(Mode.OFF, set()), (Mode.HOLDING, {"6"})])
 def test_6_an_arm_that_lost_torque_and_was_let_go_before_anybody_had_to_latch_may_run_again(
     holding: Bench, mode: Mode, broken: set[str]

@@ -118,6 +118,8 @@ class Judge(TorqueJudge):
         self._unless_settling: list[tuple[str, float, int, str]] = []
         # Whether another program is taking over, and nobody has asked it for anything yet.
         self._adopting = False
+        # Whether the program in charge has said anything yet.
+        self._spoke = False
 
     # ------------------------------------------------------------------------------------- what is known
 
@@ -227,7 +229,7 @@ class Judge(TorqueJudge):
         self._unless_cleared.clear()
         self._clears_and_moves = False
         self._hear_codes(now_s, mode, codes, bool(MOTION_REQUESTS & self._asked_before))
-        self._mode, self._code = mode, code
+        self._mode, self._code, self._spoke = mode, code, True
         self._adopting &= mode == OFF  # from now on a fault may send the arm to rest
 
     def port_back(self) -> None:
@@ -251,7 +253,7 @@ class Judge(TorqueJudge):
 
     def back(self) -> None:
         """Another program is in charge."""
-        self._dead, self._in_charge, self._adopting = None, True, True
+        self._dead, self._in_charge, self._adopting, self._spoke = None, True, True, False
         self._held = [None] * len(self._held)
 
     # ---------------------------------------------------------------------------------- what is observed
@@ -390,9 +392,9 @@ class Judge(TorqueJudge):
                 self._far_s[i] = math.inf
                 continue
             away = abs(servo.goal - servo.shaft_tick)
-            # It is told of, or there is no program that has taken it over, which a bad line delays: it cannot hold.
+            # It is told of, or no program has taken it over and said so, which a bad line delays: it cannot hold.
             begins = self._adopting or self._mode == STARTING
-            waits = not self._in_charge or (begins and self._duties.lately(now_s, GARBLES))
+            waits = not self._in_charge or not self._spoke or (begins and self._duties.lately(now_s, GARBLES))
             weak = self._is_weak(i, servo) and (bool(self._codes) or waits)
             if away > LEAD_TICKS and not weak and not self._unknown(now_s, i):
                 # One that kept its torque while the others lost theirs cannot hold the arm.
