@@ -153,6 +153,12 @@ def test_a_servo_that_shut_itself_down_is_not_just_without_torque(moving: Bench,
     assert moving.broken == broken
 
 
+def test_a_servo_that_shut_itself_down_may_be_told_beside_one_that_seems_to_have_lost_its_torque(moving: Bench) -> None:
+    moving.servos[2].torque, moving.servos[2].limit = False, 0
+    moving.tick(Mode.FAULTED, "LOST_TORQUE", also="TRIPPED")
+    assert moving.broken == set()
+
+
 def test_a_joint_that_cannot_follow_and_nobody_reports_it(holding: Bench) -> None:
     holding.at(MIDDLE - 32.0)
     holding.ticks(12, Mode.HOLDING)

@@ -201,7 +201,7 @@ class Judge(TorqueJudge):
             self._torque_asked_s = -math.inf
         if code and code != self._code:
             self._fault_s = now_s
-            if code == "LOST_TORQUE":
+            if code == "LOST_TORQUE" and "TRIPPED" not in codes:
                 self._watch_tripped(now_s)
             if code == "PORT_GONE":
                 self._duties.port_gone(now_s)
