@@ -60,15 +60,13 @@ def compact(path: Path, *, disk: Disk = DISK) -> bool:
     return True
 
 
-def compact_folder(folder: Path, *, disk: Disk = DISK) -> int:
-    """Compact every log in a folder that is not yet; how many were."""
-    count = 0
+def compact_folder(folder: Path, *, disk: Disk = DISK) -> None:
+    """Compact every log in a folder that is not yet."""
     for stored in stock(folder).logs:
         try:
-            count += compact(stored.path, disk=disk)
+            compact(stored.path, disk=disk)
         except LogError as error:
             _log.warning("not compacted: %s", error)
-    return count
 
 
 class Compaction:

@@ -9,7 +9,7 @@ Rules.
 import math
 import re
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from multiprocessing import get_context
 from pathlib import Path
@@ -130,8 +130,7 @@ def entries(paths: list[Path], *, in_processes: bool) -> Iterable[Entry]:
         yield from map(describe, paths)
         return
     with ProcessPoolExecutor(WORKERS, mp_context=get_context("spawn")) as pool:
-        for future in as_completed([pool.submit(describe, path) for path in paths]):
-            yield future.result()
+        yield from pool.map(describe, paths)
 
 
 def diff(a: Path, b: Path) -> list[dict[str, Any]]:

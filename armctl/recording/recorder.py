@@ -65,7 +65,7 @@ class Recorder:
     ) -> None:
         self._clock = clock or MonotonicClock()
         self._log_dir, self._recordings_dir, self._queue_records = log_dir, recordings_dir, queue_records
-        # Shared with the thread; None: nothing more will come.
+        # Shared with the thread, which does what is in it, too, full or not; None: nothing more will come.
         self._queue: SimpleQueue[TickRecord | Callable[[], None] | None] = SimpleQueue()
         # Ticks lost because the queue was full: since the last one that was not, and since the start.
         self._dropped = self.dropped_records = 0
@@ -105,7 +105,7 @@ class Recorder:
     def note(self, topic: str, text: str, time_ns: int) -> None:
         """Record a text (JSON) on a std_msgs/String topic at a monotonic time. Never blocks."""
         if self._queue.qsize() < self._queue_records:
-            self._put(partial(self._files.note, topic, text, time_ns))
+            self._queue.put(partial(self._files.note, topic, text, time_ns))
 
     def begin_take(self, name: str) -> Path:
         """Record into a take as well from now on.
@@ -122,7 +122,7 @@ class Recorder:
             raise LogError(f"take {name}: cannot be recorded now: {self._files.log_problem}")
         take = self._files.new_take(path)
         self._files.take_problem = ""
-        self._put(partial(self._files.begin_take, take))
+        self._queue.put(partial(self._files.begin_take, take))
         self.take_path = path
         return path
 
@@ -136,8 +136,8 @@ class Recorder:
         if path is None:
             return None
         done = threading.Event()
-        self._put(partial(self._files.close, TAKE))
-        self._put(done.set)
+        self._queue.put(partial(self._files.close, TAKE))
+        self._queue.put(done.set)
         completed = done.wait(TAKE_END_S) and path.exists()
         early, problem = self._files.take_problem, self.problem or "the disk does not answer"
         self._files.take_problem = ""
@@ -153,10 +153,6 @@ class Recorder:
         self._thread.join(CLOSE_S)
         if self._thread.is_alive():
             _log.error("the disk did not take the log within %g s; it stays as a part and is recovered later", CLOSE_S)
-
-    def _put(self, action: Callable[[], None]) -> None:
-        """Have the thread do something after what is in the queue, full or not."""
-        self._queue.put(action)
 
     # ------------------------------------------------------------------------------------------ the thread
 

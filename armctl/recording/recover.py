@@ -62,12 +62,11 @@ def recover(path: Path, target: Path | None = None, *, disk: Disk = DISK) -> Rec
         return RecoverResult(messages, lost_s, target)
 
 
-def recover_folder(folder: Path, *, disk: Disk = DISK) -> tuple[RecoverResult, ...]:
+def recover_folder(folder: Path, *, disk: Disk = DISK) -> None:
     """Recover every part in a folder, as a daemon does when it starts.
 
     A part with nothing in it is set aside as NAME.part.broken; one that is being written is left alone.
     """
-    results = []
     for part in sorted(folder.glob(f"*{PART}")):
         if part.is_symlink() or not part.is_file():
             continue
@@ -85,8 +84,6 @@ def recover_folder(folder: Path, *, disk: Disk = DISK) -> tuple[RecoverResult, .
                 disk.replace(part, broken)
             continue
         _log.warning("%s: recovered %d messages, %.3f s lost", part, result.recovered_messages, result.lost_s)
-        results.append(result)
-    return tuple(results)
 
 
 def _free_name(path: Path) -> Path:

@@ -36,7 +36,7 @@ class Rig:
     def settle(self) -> None:
         """Return when the thread has done everything queued before."""
         done = threading.Event()
-        self.recorder._put(done.set)
+        self.recorder._queue.put(done.set)
         assert done.wait(10.0)
 
     def put(self, records: list[TickRecord]) -> None:

@@ -74,8 +74,9 @@ def test_a_damaged_log_stays_as_it_is(log: Path) -> None:
     log.write_bytes(data := spoilt(log.read_bytes(), 5))
     cannot(compact, log, why="is damaged")
     assert log.read_bytes() == data
+    compact_folder(log.parent)
+    assert log.read_bytes() == data
     assert [path.name for path in log.parent.iterdir()] == [log.name]
-    assert compact_folder(log.parent) == 0
 
 
 FULL = [(f"disk.Disk.{method}", failing(errno.ENOSPC), "No space left") for method in ("create", "sync", "replace")]

@@ -249,12 +249,11 @@ def test_the_start_recovers_every_part_but_those_being_written(tmp_path: Path, l
     live.write_tick(RECORDS[0])
     with pytest.raises(PartInUse, match="being written"):
         recover(live.part)
-    (result,) = recover_folder(tmp_path)
-    assert result.path.name == "a-recovered.mcap"
+    recover_folder(tmp_path)
     names = ["a-recovered.mcap", "a.mcap", "empty.mcap.part.broken", "link.mcap.part", "live.mcap.part"]
     assert sorted(p.name for p in tmp_path.iterdir()) == names
     live.close()
-    assert recover_folder(tmp_path / "nowhere") == ()
+    recover_folder(tmp_path / "nowhere")
 
 
 def stock(path: Path) -> Counter[str] | None:

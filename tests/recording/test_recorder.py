@@ -40,7 +40,7 @@ def held(recorder: Recorder) -> Iterator[None]:
         entered.set()
         leave.wait(10.0)
 
-    recorder._put(wait)
+    recorder._queue.put(wait)
     assert entered.wait(10.0)
     yield
     leave.set()

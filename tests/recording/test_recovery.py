@@ -143,7 +143,7 @@ def test_a_damaged_finished_file_is_kept_beside_the_recovered_one(tmp_path: Path
 
 def test_a_finished_file_that_still_has_its_old_name_loses_it(tmp_path: Path, log: Path) -> None:
     os.link(put(tmp_path, log.read_bytes()), tmp_path / "a.mcap")
-    assert recover_folder(tmp_path) == ()
+    recover_folder(tmp_path)
     assert [p.name for p in tmp_path.iterdir()] == ["a.mcap"]
 
 

@@ -101,7 +101,7 @@ def quietly() -> Iterator[None]:
 def settle(recorder: Recorder) -> None:
     """Return when its thread has done everything queued before."""
     done = threading.Event()
-    recorder._put(done.set)
+    recorder._queue.put(done.set)
     while not done.wait(0.5):
         if not recorder._thread.is_alive():
             raise RuntimeError("the recorder's thread is gone")

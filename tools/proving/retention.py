@@ -180,7 +180,7 @@ class Teller:
             shutil.rmtree(self._logs, ignore_errors=True)
         elif trouble in STARTS:
             if trouble == "kill":
-                self._recorder._put(self._kill)
+                self._recorder._queue.put(self._kill)
             self._recorder.close()
             self._offset_ns = 0 if trouble == "no clock" else self._offset_ns
             recover_folder(self._logs, disk=self._disk)
