@@ -9,9 +9,7 @@ Rules.
 4. A log of another arm is refused unless the caller insists.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +20,7 @@ from armctl.kinematics import robots
 from armctl.kinematics.chain import SerialChain, tool_position
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import JointTrajectory, Run, TickRecord, most_points
+from armctl.recording.log_file import Progress
 from armctl.recording.timeline import Timeline
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.spec import ArmSpec
@@ -85,14 +84,7 @@ def logged_motion(timeline: Timeline) -> FloatArray:
 
 
 def rehearse(
-    timeline: Timeline,
-    arm: ArmConfig,
-    *,
-    foreign: bool = False,
-    period_s: float = PERIOD_S,
-    seed: int = 0,
-    progress: Callable[[float], None] | None = None,
-    watch: Callable[[SimulatedArm, TickRecord], None] | None = None,
+    timeline: Timeline, arm: ArmConfig, *, foreign: bool = False, seed: int = 0, progress: Progress | None = None
 ) -> Rehearsal:
     """Let a simulated arm repeat a log.
 
@@ -101,18 +93,17 @@ def rehearse(
         foreign: Whether the log may be of another one; it needs as many joints.
         seed: Draws what the simulated arm is like.
         progress: Called with the fraction done.
-        watch: Sees the arm and what was decided after every tick.
     Raises:
         RequestRefused: FOREIGN_LOG; or whatever the control step refuses, or a fault that stopped it.
         LogError: the log knows no joint, or has another number of them.
     """
     if not foreign:
         check_arm(timeline, arm)
-    played = _played(SimulatedArm(arm, seed=seed), _known(timeline, arm), period_s, progress, watch)
+    played = _played(SimulatedArm(arm, seed=seed), _known(timeline, arm), progress)
     error, apart_m = np.abs(played.followed_rad - played.logged_rad), tool_apart_m(played, robots.of(arm).chain)
     return Rehearsal(
         ticks=len(error),
-        duration_s=len(error) * period_s,
+        duration_s=len(error) * PERIOD_S,
         stretched_s=played.stretched_s,
         clipped_rad=played.clipped_rad,
         joint_rms_rad=float(np.sqrt((error**2).mean())),
@@ -122,7 +113,7 @@ def rehearse(
     )
 
 
-def foretold(timeline: Timeline, twin: ArmSpec, progress: Callable[[float], None]) -> list[Played]:
+def foretold(timeline: Timeline, twin: ArmSpec, progress: Progress) -> list[Played]:
     """What the twin of an arm does where the log's arm had torque: several times, what is not known of it drawn anew.
 
     Raises:
@@ -133,7 +124,7 @@ def foretold(timeline: Timeline, twin: ArmSpec, progress: Callable[[float], None
 
     def played(seed: int) -> Played:
         simulated = SimulatedArm(timeline.arm, seed=seed, spec=twin)
-        return _played(simulated, known, PERIOD_S, lambda share: progress((seed + share) / DRAWS))
+        return _played(simulated, known, lambda share: progress((seed + share) / DRAWS))
 
     return list(map(played, range(DRAWS)))
 
@@ -145,29 +136,23 @@ def tool_apart_m(played: Played, chain: SerialChain) -> FloatArray:
 
 
 def _played(
-    simulated: SimulatedArm,
-    known: tuple[FloatArray, FloatArray, FloatArray],
-    period_s: float,
-    progress: Callable[[float], None] | None,
-    watch: Callable[[SimulatedArm, TickRecord], None] | None = None,
+    simulated: SimulatedArm, known: tuple[FloatArray, FloatArray, FloatArray], progress: Progress | None
 ) -> Played:
     """A motion on a simulated arm, begun at rest."""
     (q, measured, time_s), arm = known, simulated.config
     low, high = np.array([joint.limits_rad for joint in arm.joints]).T
     clipped = np.clip(q, low, high)
-    grid, motion, run_s = _stretched(clipped, time_s, arm, period_s)
-    virtual = VirtualArm(simulated, period_s)
-    if watch is not None:
-        virtual.on_tick = partial(watch, simulated)
+    grid, motion, run_s = _stretched(clipped, time_s, arm)
+    virtual = VirtualArm(simulated, PERIOD_S)
     virtual.energise()
     approach = approach_trajectory(virtual.goals_rad, motion[0].tolist(), virtual, "approach")
     virtual.carry_out(Run(virtual.next_id(), replace(approach, corrected=False)))  # as what follows
-    virtual.ticks(round(DWELL_S / period_s))  # it comes to rest
+    virtual.ticks(round(DWELL_S / PERIOD_S))  # it comes to rest
     records: list[TickRecord] = []
     most = most_points(len(arm.joints))
     for begin in range(0, len(motion) - 1, most - 1):
         rows = motion[begin : begin + most]
-        part = JointTrajectory(period_s, tuple(map(tuple, rows.tolist())), label="log", corrected=False)
+        part = JointTrajectory(PERIOD_S, tuple(map(tuple, rows.tolist())), label="log", corrected=False)
         # Each part ends at rest; what follows its last row until that is reported belongs to no row.
         records += virtual.carry_out(Run(virtual.next_id(), part))[: len(rows) - 1]
         if progress is not None:
@@ -193,12 +178,10 @@ def _known(timeline: Timeline, arm: ArmConfig, *, powered: bool = False) -> tupl
     return q[known], timeline.position_rad[known], timeline.time_s[known]
 
 
-def _stretched(
-    q: FloatArray, time_s: FloatArray, arm: ArmConfig, period_s: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _stretched(q: FloatArray, time_s: FloatArray, arm: ArmConfig) -> tuple[FloatArray, FloatArray, FloatArray]:
     """The motion, no joint faster than its limit: times of the grid, motion on it, time of each frame of the log."""
     limits = SPEED_MARGIN * np.array([joint.speed_limit_rad_s for joint in arm.joints])
     needed_s = (np.abs(np.diff(q, axis=0)) / limits).max(axis=1)
     run_s = np.concatenate([[0.0], np.cumsum(np.maximum(np.diff(time_s), needed_s))])
-    grid: FloatArray = np.arange(int(np.ceil(run_s[-1] / period_s - 1e-9)) + 1) * np.float64(period_s)
+    grid: FloatArray = np.arange(int(np.ceil(run_s[-1] / PERIOD_S - 1e-9)) + 1) * np.float64(PERIOD_S)
     return grid, columns_at(grid, run_s, q), run_s

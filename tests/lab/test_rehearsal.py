@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from armctl.messages import TickRecord
 from armctl.recording import timeline
 from armctl.recording.timeline import Timeline
 from armctl.sim.arm import SimulatedArm
+from armctl.sim.virtual_arm import VirtualArm
 from tests.genetic.hand import changed
 from tests.host.doubles import refused
 from tests.recording.factory import ARM, PERIOD_S, make_records
@@ -27,6 +29,20 @@ RECORDS = make_records(60, seed=3)
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Timeline:
     return timeline.load(write_log(tmp_path_factory.mktemp("log") / "a.mcap", RECORDS))
+
+
+@pytest.fixture
+def witness(monkeypatch: pytest.MonkeyPatch) -> "Witness":
+    """Sees what the servos do of every rehearsal."""
+    seen = Witness()
+
+    def watched(simulated: SimulatedArm, period_s: float) -> VirtualArm:
+        virtual = VirtualArm(simulated, period_s)
+        virtual.on_tick = partial(seen, simulated)
+        return virtual
+
+    monkeypatch.setattr("armctl.lab.rehearsal.VirtualArm", watched)
+    return seen
 
 
 @dataclass
@@ -61,9 +77,8 @@ def test_the_same_seed_gives_the_same_outcome(log: Timeline) -> None:
     assert rehearse(log, ARM, seed=5) != rehearse(log, ARM, seed=6)
 
 
-def test_the_arm_eases_to_a_first_pose_far_away_and_never_lunges(log: Timeline) -> None:
-    witness = Witness()
-    rehearse(moved(log, 1.0), ARM, watch=witness)
+def test_the_arm_eases_to_a_first_pose_far_away_and_never_lunges(log: Timeline, witness: Witness) -> None:
+    rehearse(moved(log, 1.0), ARM)
     speeds = np.abs(np.diff(np.array(witness.q), axis=0)).max(axis=1) / PERIOD_S
     run = [i for i, r in enumerate(witness.records) if any(c.kind == "run" for c in r.inputs.commands)]
     approach, motion = run
@@ -72,12 +87,13 @@ def test_the_arm_eases_to_a_first_pose_far_away_and_never_lunges(log: Timeline) 
     assert speeds[motion - 5 : motion].max() < math.radians(1.0)  # at rest before the motion begins
 
 
-def test_every_goal_keeps_the_limits_and_the_speeds_even_where_the_log_does_not(log: Timeline) -> None:
-    witness = Witness()
+def test_every_goal_keeps_the_limits_and_the_speeds_even_where_the_log_does_not(
+    log: Timeline, witness: Witness
+) -> None:
     jump = log.goal_rad.copy()
     jump[30:, 1] -= 1.0
     jump[40:, 4] += 9.0
-    result = rehearse(replace(log, goal_rad=jump), ARM, watch=witness)
+    result = rehearse(replace(log, goal_rad=jump), ARM)
     assert result.stretched_s > 0.8
     assert result.clipped_rad > 1.0
     goals = [record.outputs.goal.ticks for record in witness.records if record.outputs.goal is not None]
