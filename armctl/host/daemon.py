@@ -108,7 +108,7 @@ async def run_daemon(
         RequestRefused: another daemon answers on the socket, or the arm never ticked.
     """
     folders = log_dir or data_dir(config) / "logs", data_dir(config) / "recordings"
-    with _listening(socket) as listening, _listening(stop_path(socket)) as lane:
+    with listening_at(socket) as listening, listening_at(stop_path(socket)) as lane:
         settings = ControlSettings(port, config.baud, arm, config.period_s, stop_fd=lane.fileno())
         ending = asyncio.Event()
         loop = asyncio.get_running_loop()
@@ -251,26 +251,16 @@ def restart_wait_s(deaths_ns: deque[int]) -> float:
 
 
 @contextlib.contextmanager
-def _listening(path: Path) -> Iterator[socket.socket]:
-    """`listen`; nothing is left behind."""
-    with listen(path) as listening:
-        try:
-            yield listening
-        finally:
-            path.unlink(missing_ok=True)
-
-
-def listen(path: Path) -> socket.socket:
+def listening_at(path: Path) -> Iterator[socket.socket]:
     """A socket listening at `path`, for its owner and group only.
 
-    Its folder is made if it is missing; a socket that nobody serves any more is replaced.
+    Its folder is made if it is missing; a socket that nobody serves any more is replaced. Nothing is left behind.
 
     Raises:
         RequestRefused: code BUSY, another daemon answers there.
         ConfigError: there can be no socket at that path.
     """
-    with contextlib.ExitStack() as undo:
-        listening = undo.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM))
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as listening:
         try:
             if not path.parent.exists():
                 path.parent.mkdir(parents=True)
@@ -284,8 +274,10 @@ def listen(path: Path) -> socket.socket:
         except OSError as error:
             why = f"cannot be made: {error.strerror or error}"
             raise ConfigError(str(path), "socket", why, "choose another with --socket") from None
-        undo.pop_all()
-    return listening
+        try:
+            yield listening
+        finally:
+            path.unlink(missing_ok=True)
 
 
 def _refuse_second(path: Path) -> None:

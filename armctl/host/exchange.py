@@ -22,13 +22,11 @@ class Exchange:
         # Of the control process; None: there is none now.
         self.pid: int | None = None
         self._send: Callable[[Command], bool] = lambda _: False
-        # Commands sent so far that may move something: all but `Hold`.
-        self.asked = 0
         self._ids = itertools.count(1)
         self._pending: dict[int, asyncio.Future[Reply]] = {}
+        # The last one, if nothing that may move something was sent since; and when it was sent.
         self._hold: asyncio.Task[Reply] | None = None
-        # When it was sent [ns], and how much had been asked by then.
-        self._held_at = 0, 0
+        self._held_ns = 0
 
     def attach(self, pid: int, send: Callable[[Command], bool]) -> None:
         """Commands go to this control process from now on.
@@ -86,11 +84,10 @@ class Exchange:
         Raises:
             RequestRefused: as `request`.
         """
-        hold, (since_ns, asked) = self._hold, self._held_at
-        over = hold is not None and hold.done() and (now_ns - since_ns > shared_ns or hold.exception() is not None)
-        if hold is None or self.asked != asked or over:
+        hold, since_ns = self._hold, now_ns - self._held_ns
+        if hold is None or (hold.done() and (since_ns > shared_ns or hold.exception() is not None)):
             hold = self._hold = asyncio.create_task(self.request(Hold))
-            self._held_at = now_ns, self.asked
+            self._held_ns = now_ns
         await asyncio.shield(hold)
 
     def forget_hold(self) -> None:
@@ -100,7 +97,8 @@ class Exchange:
     def _sent(self, command: Command) -> bool:
         if self.pid is None:
             raise restarting()
-        self.asked += not isinstance(command, Hold)
+        if not isinstance(command, Hold):
+            self.forget_hold()
         return self._send(command)
 
 

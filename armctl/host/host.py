@@ -28,9 +28,9 @@ from armctl.host.lease import Client, Lease, Leases
 from armctl.host.snapshot import Statistics, arm_snapshot, fault_snapshots, note_words
 from armctl.host.takes import TakeRecorder, Takes
 from armctl.host.watch import Done, Leg, Watch, holds, refuse_collision, refuse_to_begin, run_name
+from armctl.json_text import named
 from armctl.kinematics.robots.robot import Robot
 from armctl.messages import JointTrajectory, LagModel, Mode, Reply, TickRecord
-from armctl.recording.channels import COMMAND
 from armctl.trajectory.thinning import thinned
 
 # How long a motion may go without any progress, unless somebody paused it, before it is given up.
@@ -173,7 +173,7 @@ class Host:
     def note(self, message: dict[str, Any]) -> None:
         """Put something no tick record tells into the log."""
         logger.info("%s", note_words(message))
-        self.recorder.note(COMMAND, json.dumps(message), self._clock.now_ns())
+        self.recorder.note(json.dumps(message), self._clock.now_ns())
 
     # ------------------------------------------------------------------------------------------- requests
 
@@ -387,8 +387,6 @@ class Host:
             "recording": self.takes.name,
             "commander": None if commander is None else f"{commander.client.name}: {commander.what}",
             "log": self.log(),
-            "arm_id": self.arm.arm_id,
-            "calibration_hash": self.arm.calibration_hash,
-            "tool_speed_limit_m_s": self.arm.tool_speed_limit_m_s,
+            **named(self.arm, "arm_id", "calibration_hash", "tool_speed_limit_m_s"),
             "pids": {"daemon": os.getpid(), "control": self.exchange.pid},
         }

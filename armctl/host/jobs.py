@@ -156,13 +156,13 @@ def load_takes(arm: ArmConfig, paths: Sequence[Path]) -> list[recordings.Recordi
         RequestRefused: code FOREIGN_LOG, a recording is another arm's; names each.
     """
     loaded = [recordings.load(path) for path in paths]
-    if foreign := [one for one in loaded if (one.arm_id, one.calibration_hash) != (arm.arm_id, arm.calibration_hash)]:
-        this = f"this is {arm.arm_id}, {arm.calibration_hash}"
-        made = (
-            f"recording {one.name} was made with arm {one.arm_id}, calibration {one.calibration_hash}"
-            for one in foreign
-        )
-        raise RequestRefused("FOREIGN_LOG", [f"{one}; {this}" for one in made])
+    foreign = []
+    for take in loaded:
+        if (take.arm_id, take.calibration_hash) != (arm.arm_id, arm.calibration_hash):
+            made = f"recording {take.name} was made with arm {take.arm_id}, calibration {take.calibration_hash}"
+            foreign.append(f"{made}; this is {arm.arm_id}, {arm.calibration_hash}")
+    if foreign:
+        raise RequestRefused("FOREIGN_LOG", foreign)
     return loaded
 
 

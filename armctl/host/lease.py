@@ -10,9 +10,9 @@ from typing import Any, Protocol
 
 from armctl.errors import IllegalTransition, RequestRefused
 
-# What the commander itself may ask while it holds a lasting lease.
 # What has several legs, and waits before the next one if it is paused.
 IN_LEGS = ("run", "play", "reach", "transfer", "program")
+# What the commander itself may ask while it holds a lasting lease.
 _DURING = {"teach": frozenset({"release", "torque_on", "clear", "park"}), "jogging": frozenset({"jog"})}
 
 

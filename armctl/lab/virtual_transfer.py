@@ -6,7 +6,6 @@ from pathlib import Path
 
 from armctl.config import ArmConfig, Config, LogConfig
 from armctl.messages import Run
-from armctl.recording.channels import COMMAND
 from armctl.recording.writer import LogContext, LogWriter
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.virtual_arm import VirtualArm
@@ -35,5 +34,5 @@ def record(arm: ArmConfig, cycle: TransferRequest, path: Path, *, seed: int = 0,
         for index, record in enumerate(records):
             writer.write_tick(record)
             if index == begin:
-                writer.write_note(COMMAND, note, record.inputs.sample.time_ns)
+                writer.write_note(note, record.inputs.sample.time_ns)
     return path

@@ -124,8 +124,8 @@ class Payloads:
     def joined(cls, parts: Sequence[Self]) -> Self:
         """All of these, one after the other."""
         kinds = {"log_time_ns": np.uint64, "sequence": np.uint32, "place": np.int64, "size": np.int64}
-        some = {key: [np.empty(0, kind), *(getattr(part, key) for part in parts)] for key, kind in kinds.items()}
-        joined: dict[str, Column] = {key: np.concatenate(arrays) for key, arrays in some.items()}
+        arrays = {key: [np.empty(0, kind), *(getattr(part, key) for part in parts)] for key, kind in kinds.items()}
+        joined: dict[str, Column] = {key: np.concatenate(columns) for key, columns in arrays.items()}
         return cls(**joined, data=b"".join([part.data for part in parts]))
 
 
@@ -170,11 +170,11 @@ class Block:
             heads, begin, end = self._heads[rows], self._begin[rows], self._end[rows]
             size, data = end - begin, self.data
             if (least := int(size[0])) and (size == least).all():
-                some = np.ndarray((len(data) - least + 1,), f"V{least}", data, 0, (1,))[begin].tobytes()
+                content = np.ndarray((len(data) - least + 1,), f"V{least}", data, 0, (1,))[begin].tobytes()
             else:
-                some = b"".join([data[a:b] for a, b in zip(begin.tolist(), end.tolist(), strict=True)])
+                content = b"".join([data[a:b] for a, b in zip(begin.tolist(), end.tolist(), strict=True)])
             times_ns, sequence = (np.ascontiguousarray(one) for one in (heads["times_ns"][:, 0], heads["sequence"]))
-            yield topic, Payloads(times_ns, sequence, base + begin, size, some)
+            yield topic, Payloads(times_ns, sequence, base + begin, size, content)
 
 
 class _Differ(Exception):

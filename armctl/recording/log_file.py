@@ -156,7 +156,7 @@ class LogFile(AbstractContextManager["LogFile"]):
             for topic, payloads in block.payloads(topics, base):
                 parts.setdefault(topic, []).append(payloads)
             base += len(block.data)
-        return {topic: Payloads.joined(some) for topic, some in parts.items()}
+        return {topic: Payloads.joined(pieces) for topic, pieces in parts.items()}
 
     def tables(self, topic: str, payloads: Payloads) -> tuple[Table, ...]:
         """Messages of one topic as columns, a table for each shape they come in (see columns.py).

@@ -57,12 +57,16 @@ class StoredLog(NamedTuple):
         return self.folder / self.name
 
 
+# Each oldest first.
+Logs = tuple[StoredLog, ...]
+
+
 @dataclass(frozen=True)
 class Stock:
-    """What is in a folder; each oldest first."""
+    """What is in a folder."""
 
-    logs: tuple[StoredLog, ...] = ()
-    snapshots: tuple[StoredLog, ...] = ()
+    logs: Logs = ()
+    snapshots: Logs = ()
     part_bytes: int = 0
     # The highest number of any file.
     number: int = 0
@@ -127,15 +131,15 @@ def ages_s(logs: Sequence[StoredLog], max_age_s: float) -> list[float]:
     return ages[: len(logs)][::-1]
 
 
-def surplus(logs: Sequence[StoredLog], limits: LogConfig, free_bytes: int, more: int = 0) -> tuple[StoredLog, ...]:
+def surplus(logs: Sequence[StoredLog], limits: LogConfig, free_bytes: int, more_bytes: int = 0) -> Logs:
     """Which logs have to go, oldest first.
 
     Args:
         logs: Oldest first.
         free_bytes: What is free on their disk now.
-        more: What else counts [bytes]: parts, and the file being written.
+        more_bytes: What else counts: parts, and the file being written.
     """
-    total = sum(log.size_bytes for log in logs) + more
+    total = sum(log.size_bytes for log in logs) + more_bytes
     gone: list[StoredLog] = []
     for log, age_s in zip(logs[:-KEPT], ages_s(logs, limits.max_age_s), strict=False):
         too_old = 0.0 < limits.max_age_s < age_s
@@ -192,7 +196,7 @@ class Retention:
         self._read(at_once=True)
         return tuple(log.path for log in gone)
 
-    def _surplus(self, stock: Stock, more_bytes: int) -> tuple[StoredLog, ...]:
+    def _surplus(self, stock: Stock, more_bytes: int) -> Logs:
         gone = surplus(stock.logs, self._limits, self._disk.free_bytes(self._folder), stock.part_bytes + more_bytes)
         bound = {"quota_bytes": self._limits.snapshots_bytes, "free_bytes": 0, "max_age_s": 0.0}
         return gone + surplus(stock.snapshots, self._limits.model_copy(update=bound), 0)

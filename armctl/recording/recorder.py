@@ -102,10 +102,10 @@ class Recorder:
             record, self._dropped = replace(record, dropped=record.dropped + self._dropped), 0
         self._queue.put(record)
 
-    def note(self, topic: str, text: str, time_ns: int) -> None:
-        """Record a text (JSON) on a std_msgs/String topic at a monotonic time. Never blocks."""
+    def note(self, text: str, time_ns: int) -> None:
+        """Record a note (JSON) on /armctl/command at a monotonic time. Never blocks."""
         if self._queue.qsize() < self._queue_records:
-            self._queue.put(partial(self._files.note, topic, text, time_ns))
+            self._queue.put(partial(self._files.note, text, time_ns))
 
     def begin_take(self, name: str) -> Path:
         """Record into a take as well from now on.

@@ -164,8 +164,7 @@ def taught(recording: Recording) -> TaughtMotion:
         "joints": recording.joint_names,
         "time_s": tuple(np.round(time_s, 6).tolist()),
         "positions_rad": tuple(map(tuple, np.round(positions_rad, DECIMALS).tolist())),
-        "arm_id": recording.arm_id,
-        "calibration_hash": recording.calibration_hash,
+        **named(recording, "arm_id", "calibration_hash"),
     }
     return validate(TaughtMotion, data, f"recording {recording.name}")
 

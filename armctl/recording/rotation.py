@@ -139,10 +139,10 @@ class Files:
         take.begin(keyframe, inputs_only)
         self._open[TAKE] = take
 
-    def note(self, topic: str, text: str, time_ns: int) -> None:
-        """Record a text (JSON) on a std_msgs/String topic at a monotonic time."""
+    def note(self, text: str, time_ns: int) -> None:
+        """Record a note (JSON) on /armctl/command at a monotonic time."""
         self._ensure_log()
-        self._write(lambda writer: writer.write_note(topic, text, time_ns))
+        self._write(lambda writer: writer.write_note(text, time_ns))
 
     def record(self, record: TickRecord) -> bool:
         """Record a tick; whether it has to be on the disk at once."""

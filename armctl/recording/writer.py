@@ -30,7 +30,7 @@ from armctl.recording import channels, provenance
 from armctl.recording.channels import TOPICS, Anchor, Message, Row
 from armctl.recording.chunks import ChunkWriter
 from armctl.recording.disk import DISK, PART, Disk, publish, writing
-from armctl.recording.schemas import schema_text, short_name
+from armctl.recording.schemas import schema_text
 from armctl.recording.shapes import Shape
 
 # Attachment: schemas, channels and everything of the metadata record, with a checksum over it.
@@ -146,15 +146,9 @@ class LogWriter:
         """What went over the wire up to a tick (see `channels.wire_message`), behind it."""
         self._say(time_ns, lambda epoch_ns: channels.wire_message(pieces, epoch_ns))
 
-    def write_note(self, topic: str, text: str, time_ns: int) -> None:
-        """Text (JSON) on a std_msgs/String topic, at a monotonic time.
-
-        Raises:
-            ValueError: the topic is not one of them.
-        """
-        if topic not in TOPICS or short_name(TOPICS[topic].type) != "std_msgs/String":
-            raise ValueError(f"topic {topic}: notes go to {channels.COMMAND}")
-        self._say(time_ns, lambda _: channels.string_message(topic, text))
+    def write_note(self, text: str, time_ns: int) -> None:
+        """A note (JSON) on /armctl/command, at a monotonic time."""
+        self._say(time_ns, lambda _: channels.string_message(channels.COMMAND, text))
 
     def write_event(self, event: Event, time_ns: int) -> None:
         """A line of the recorder's own on /rosout, at a monotonic time."""

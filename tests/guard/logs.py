@@ -57,7 +57,7 @@ def recorded(folder: Path, ticks: Sequence[TickRecord], about: LogContext) -> No
 
     def settle() -> None:
         done = threading.Event()
-        recorder._put(done.set)
+        recorder._queue.put(done.set)
         assert done.wait(60.0)
 
     for number, record in enumerate(ticks):
@@ -68,9 +68,9 @@ def recorded(folder: Path, ticks: Sequence[TickRecord], about: LogContext) -> No
             recorder.end_take()
         now_ns = record.inputs.now_ns
         # The recorder's own thread moves the clock, or a flush would come before or after a tick by chance.
-        recorder._put(partial(clock.sleep_until_ns, now_ns))
+        recorder._queue.put(partial(clock.sleep_until_ns, now_ns))
         recorder.put(record)
-        recorder.note("/armctl/command", f'{{"number":{number}}}', now_ns)
+        recorder.note(f'{{"number":{number}}}', now_ns)
     settle()
     recorder.close()
     assert not recorder.dropped_records

@@ -133,8 +133,7 @@ class MemoryRecorder:
     def put(self, record: TickRecord) -> None:
         self.records.append(record)
 
-    def note(self, topic: str, text: str, time_ns: int) -> None:
-        assert topic == "/armctl/command"
+    def note(self, text: str, time_ns: int) -> None:
         assert time_ns > 0
         self.notes.append(text)
 

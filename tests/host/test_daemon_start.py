@@ -10,7 +10,7 @@ import pytest
 
 from armctl.errors import ConfigError, RequestRefused
 from armctl.host import service_manager
-from armctl.host.daemon import listen
+from armctl.host.daemon import listening_at
 from tests.host.peers import PATIENCE_S
 from tests.host.test_daemon import running
 
@@ -18,27 +18,34 @@ from tests.host.test_daemon import running
 
 
 def test_a_second_daemon_on_a_socket_is_refused(tmp_path: Path) -> None:
-    with listen(tmp_path / "s"), pytest.raises(RequestRefused, match="another daemon"):
-        listen(tmp_path / "s")
+    with (
+        listening_at(tmp_path / "s"),
+        pytest.raises(RequestRefused, match="another daemon"),
+        listening_at(tmp_path / "s"),
+    ):
+        pass
+    assert not (tmp_path / "s").exists()
 
 
 def test_a_socket_nobody_serves_is_replaced(tmp_path: Path) -> None:
-    listen(tmp_path / "s").close()
-    assert (tmp_path / "s").is_socket()
-    listen(tmp_path / "s").close()
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as old:
+        old.bind(str(tmp_path / "s"))
+    with listening_at(tmp_path / "s"), socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as client:
+        client.connect(str(tmp_path / "s"))
+    assert not (tmp_path / "s").exists()
 
 
 def test_a_file_in_the_socket_s_place_is_left_alone(tmp_path: Path) -> None:
     path = tmp_path / "s"
     path.write_text("precious")
-    with pytest.raises(ConfigError, match="in use"):
-        listen(path)
+    with pytest.raises(ConfigError, match="in use"), listening_at(path):
+        pass
     assert path.read_text() == "precious"
 
 
 def test_a_path_too_long_for_a_socket_is_a_configuration_error(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="too long"):
-        listen(tmp_path / ("x" * 120))
+    with pytest.raises(ConfigError, match="too long"), listening_at(tmp_path / ("x" * 120)):
+        pass
 
 
 # ------------------------------------------------------------------------------------------ service manager

@@ -50,7 +50,7 @@ def write(
         if wire_ticks and record.inputs.tick % wire_ticks == 0:
             writer.write_wire(record.wire, record.inputs.sample.time_ns)
         for text in notes.get(record.inputs.tick, ()):
-            writer.write_note("/armctl/command", text, record.inputs.now_ns)
+            writer.write_note(text, record.inputs.now_ns)
         if record.inputs.tick % flush_ticks == flush_ticks - 1:
             writer.flush()
     if finish:

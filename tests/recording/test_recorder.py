@@ -51,7 +51,7 @@ def put_at_once(recorder: Recorder, records: list[TickRecord], note: str = "{}")
     with held(recorder):
         for record in records:
             recorder.put(record)
-        recorder.note("/armctl/command", note, records[-1].inputs.now_ns)
+        recorder.note(note, records[-1].inputs.now_ns)
 
 
 def slow_disk(rig: Rig, monkeypatch: pytest.MonkeyPatch, took_ns: int) -> list[int]:

@@ -16,7 +16,7 @@ import yaml
 from armctl.clock import NS_PER_S, VirtualClock
 from armctl.errors import LogError
 from armctl.genetic.straight_line import Progress
-from armctl.host.daemon import listen
+from armctl.host.daemon import listening_at
 from armctl.host.host import Host
 from armctl.host.jobs import OptimizeJob
 from armctl.host.methods import Methods
@@ -126,7 +126,7 @@ class _Recorder:
     def put(self, record: TickRecord) -> None:
         pass
 
-    def note(self, topic: str, text: str, time_ns: int) -> None:
+    def note(self, text: str, time_ns: int) -> None:
         json.loads(text)
 
     def begin_take(self, name: str) -> Path:
@@ -197,15 +197,12 @@ async def served(seed: int, folder: Path) -> AsyncIterator[_Rig]:
     methods = Methods(host, folder / "recordings", _optimise)
     table = methods.table()
     server = Server(table, clock, on_close=methods.client_gone, may_command=lambda _uid: True)
-    listening = listen(folder / "fuzz.sock")
-    try:
+    with listening_at(folder / "fuzz.sock") as listening:
         server.start(listening)
         rig = _Rig(folder / "fuzz.sock", table, host, server, control, takes)
         rig.tick()
         yield rig
         await server.close()
-    finally:
-        listening.close()
 
 
 @contextlib.contextmanager
