@@ -31,7 +31,7 @@ from armctl.trajectory import refinement
 from armctl.trajectory.course import course_of
 from armctl.trajectory.path_motion import PathSeen, path_seen, relearnt
 from armctl.trajectory.plan import Plan, plan_to_text
-from armctl.trajectory.refinement import Measured, Refinement, Round, following, seen_mm, waited_long
+from armctl.trajectory.refinement import Measured, Refinement, Round, following, waited_long, with_run
 from armctl.trajectory.tool_path import PathRequest
 
 MOST_FURTHER = 20
@@ -65,9 +65,6 @@ async def refine_path(host: Host, client: Client, request: PathRequest, further:
 class _Runs:
     """What is run under one lease, and what is kept of it."""
 
-    # Of a plan: it counts runs, those that tell nothing too.
-    work: Refinement | None = None
-
     def __init__(self, host: Host, lease: Lease, further: int, folder: Path, what: str) -> None:
         self.host, self.lease = host, lease
         self.runs, self.most = 0, 1 + further
@@ -89,8 +86,6 @@ class _Runs:
             wanted_s = done.trajectory.end_s - done.trajectory.begin_s
             if not waited_long(wanted_s, result["duration_s"], self.host.period_s):
                 return measured(name, done)
-            if self.work is not None:
-                self.work.lost()
         why = "it was paused, or servos miss readings and the arm waits for them; see `armctl doctor`"
         took = f"the run took {result['duration_s']:.2f} s instead of {wanted_s:.2f} s"
         raise RequestRefused("DISTURBED", f"{took}: {why}")
@@ -153,7 +148,7 @@ class _OfPlan(_Runs):
         self.plan, self.corrected = plan, corrected
         first = await self._measured(self.plan)
         self.keep(self.plan)
-        work = self.work = await asyncio.to_thread(self._begun, first)
+        work = await asyncio.to_thread(self._begun, first)
         steps, ended = work.steps(), None
         try:
             one = await asyncio.to_thread(following, steps)
@@ -174,9 +169,9 @@ class _OfPlan(_Runs):
         return self.answer(work.best.runs[-1], rows, ended)
 
     def _begun(self, first: Measured) -> Refinement:
-        one = Round(0, course_of(self.host, self.plan), self.plan, (first,), (), self.corrected)
-        one = one._replace(run_mm=(seen_mm(self.host, one, first),))
-        return Refinement(self.host, one, self.most - 1, further=self.most - self.runs)
+        one = Round(0, course_of(self.host, self.plan), self.plan, self.corrected)
+        one = with_run(self.host, one, first)
+        return Refinement(self.host, one, self.most - 1, runs_left=lambda: self.most - self.runs)
 
     async def _measured(self, plan: Plan) -> Measured:
         host, corrected = self.host, self.corrected

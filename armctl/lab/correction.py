@@ -8,7 +8,7 @@ from armctl.lab.rig import Rig
 from armctl.messages import LagModel
 from armctl.trajectory.course import Course, plan_of
 from armctl.trajectory.plan import Plan
-from armctl.trajectory.refinement import ASTRAY, Measured, Refinement, Round, Shown, following, seen_mm
+from armctl.trajectory.refinement import ASTRAY, Measured, Refinement, Round, Shown, following, with_run
 
 
 def run(rig: Rig, course: Course, plan: Plan, number: int, *, corrected: bool = True) -> Round:
@@ -17,9 +17,7 @@ def run(rig: Rig, course: Course, plan: Plan, number: int, *, corrected: bool = 
     Raises:
         RequestRefused: the plan may not run, or was stopped.
     """
-    measured = rig.run(plan, corrected=corrected)
-    one = Round(number, course, plan, (measured,), (), corrected)
-    return one._replace(run_mm=(seen_mm(rig, one, measured),))
+    return with_run(rig, Round(number, course, plan, corrected), rig.run(plan, corrected=corrected))
 
 
 def first_run(rig: Rig, candidates: Iterable[Course], model: LagModel | None, seed: int, *, corrected: bool) -> Round:

@@ -196,14 +196,16 @@ def experiment(
     return outcomes
 
 
-def run_rounds(rig: Rig, some: Iterable[Course], budget: Budget, model: LagModel | None, show: Progress) -> list[Round]:
+def run_rounds(
+    rig: Rig, offered: Iterable[Course], budget: Budget, model: LagModel | None, show: Progress
+) -> list[Round]:
     """Round 0, of the first of the courses that may run, and the corrected ones."""
 
     def tell(done: Round) -> None:
         show(done.number + 1, f"round {done.number}: {done.filtered_mm:.2f} mm")
 
     rounds, seed = budget.rounds, budget.seed
-    before = correction.first_run(rig, some, model, seed, corrected=False)
+    before = correction.first_run(rig, offered, model, seed, corrected=False)
     tell(before)
     if rounds == 0:
         return [before._replace(kept=True)]

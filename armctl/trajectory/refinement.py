@@ -13,7 +13,7 @@ Rules.
    a third; then the median of the three counts, for choosing as for learning.
 5. A plan that is not kept is forgotten. The next one starts from the kept plan again, with a smaller gain and with all
    that was measured of the kept plan by then. Rounds end when `PATIENCE` in a row were not kept.
-6. Where runs are counted (`further`), the first plan is not repeated, nor is one that is better by far; the last run
+6. Where runs are counted (`runs_left`), the first plan is not repeated, nor is one that is better by far; the last run
    counts alone.
 
 Nothing here moves an arm: `Refinement.steps` yields what is to be run and is sent what was measured, so that a daemon,
@@ -81,11 +81,11 @@ class Round(NamedTuple):
     number: int
     course: Course
     plan: Plan
-    runs: tuple[Measured, ...]
-    # Of each run, see `seen_mm`.
-    run_mm: tuple[float, ...]
     # Whether the control step corrects its runs.
     corrected: bool
+    runs: tuple[Measured, ...] = ()
+    # Of each run, see `seen_mm`.
+    run_mm: tuple[float, ...] = ()
     # Whether it was the best when it was made.
     kept: bool = False
 
@@ -142,6 +142,11 @@ def seen_mm(on: Driven, one: Round, measured: Measured) -> float:
     return float(np.sqrt((distance_to_line(seen, course.line.A, course.line.B) ** 2).mean())) * 1e3
 
 
+def with_run(on: Driven, one: Round, measured: Measured) -> Round:
+    """The round with one run more of its plan."""
+    return one._replace(runs=(*one.runs, measured), run_mm=(*one.run_mm, seen_mm(on, one, measured)))
+
+
 def repeat_noise_mm(rounds: Iterable[Round]) -> float:
     """Standard deviation of `filtered_mm` from run to run of one plan, by the rounds that were run more than once.
 
@@ -160,8 +165,10 @@ def best_of(rounds: Sequence[Round]) -> Round:
     return [one for one in rounds if one.kept][-1]
 
 
-# Yields a round whose plan is to be run once more, and is sent what was measured; None begins it.
-Steps = Generator[Round, Measured | None, None]
+# Yields a round whose plan is to be run once more, and is sent what was measured.
+Steps = Generator[Round, Measured, None]
+# Tells how many runs may still be made; None: as many as the rules ask for.
+Left = Callable[[], int | None]
 # Called with each further round that is over.
 Shown = Callable[[Round], None]
 
@@ -170,16 +177,16 @@ class Refinement:
     """The rounds of one plan, as far as they have come."""
 
     def __init__(
-        self, on: Driven, first: Round, rounds: int, *, further: int | None = None, show: Shown = lambda _: None
+        self, on: Driven, first: Round, rounds: int, *, runs_left: Left = lambda: None, show: Shown = lambda _: None
     ) -> None:
         """
         Args:
             first: What the arm does before any correction; may have been run.
             rounds: Corrections at most.
-            further: Runs at most beyond those of `first`, or beyond its only one; None: as many as the rules ask for.
+            runs_left: Asked after the first run; where it counts, one that tells nothing counts, too.
         """
         self.on, self.first, self.most, self.show = on, first, rounds, show
-        self._left = further
+        self._left = runs_left
         # In order, as far as they are over; the last of them that is `kept` is the outcome.
         self.rounds: list[Round] = []
 
@@ -191,21 +198,21 @@ class Refinement:
     def steps(self) -> Steps:
         """Measure, correct and run again. A refusal to run a plan is thrown in; others than `ASTRAY` come out again."""
         best = self.first
-        while not best.runs or (self._left is None and not enough(best, NOISE_MM)):
-            best = self._added(best, (yield best), counted=False)
+        while not best.runs or (self._left() is None and not enough(best, NOISE_MM)):
+            best = with_run(self.on, best, (yield best))
         best = best._replace(kept=True)
         self.rounds.append(best)
         unkept = 0
         for number in range(best.number + 1, best.number + 1 + self.most):
-            if self._left == 0 or unkept == PATIENCE:
+            if self._left() == 0 or unkept == PATIENCE:
                 return
             course = learn(self.on, best, GAINS[min(len(self.rounds), len(GAINS)) - 1] * LESS**unkept)
-            one = Round(number, course, plan_of(self.on, course, self.first.plan.seed), (), (), best.corrected)
+            one = Round(number, course, plan_of(self.on, course, self.first.plan.seed), best.corrected)
             try:
-                one = self._added(one, (yield one))
+                one = with_run(self.on, one, (yield one))
                 noise_mm = repeat_noise_mm(self.rounds)
-                while self._left != 0 and self._in_doubt(one, best, noise_mm):
-                    one = self._added(one, (yield one))
+                while self._left() != 0 and self._in_doubt(one, best, noise_mm):
+                    one = with_run(self.on, one, (yield one))
             except RequestRefused as refusal:
                 if refusal.code not in ASTRAY:
                     raise
@@ -218,28 +225,17 @@ class Refinement:
             self.rounds.append(one)
             self.show(one)
 
-    def lost(self) -> None:
-        """A run more was made that tells nothing."""
-        if self._left:
-            self._left -= 1
-
-    def _added(self, one: Round, measured: Measured | None, *, counted: bool = True) -> Round:
-        assert measured is not None
-        if self._left:
-            self._left -= counted
-        return one._replace(runs=(*one.runs, measured), run_mm=(*one.run_mm, seen_mm(self.on, one, measured)))
-
     def _in_doubt(self, one: Round, best: Round, noise_mm: float) -> bool:
         """Whether a plan that seems better has to be run again before that is believed."""
         if len(one.runs) > 1:
             return not enough(one, noise_mm)
         gain_mm = best.filtered_mm - one.filtered_mm
-        return gain_mm > 0.0 and (self._left is None or gain_mm < DISAGREE * noise_mm)
+        return gain_mm > 0.0 and (self._left() is None or gain_mm < DISAGREE * noise_mm)
 
     def _better(self, one: Round, best: Round) -> bool:
         """Whether a plan takes the kept one's place."""
         noise_mm = repeat_noise_mm([*self.rounds, one]) * (1.0 / len(one.runs) + 1.0 / len(best.runs)) ** 0.5
-        return (len(one.runs) >= RUNS or self._left is not None) and one.filtered_mm + noise_mm < best.filtered_mm
+        return (len(one.runs) >= RUNS or self._left() is not None) and one.filtered_mm + noise_mm < best.filtered_mm
 
 
 def following(steps: Steps, told: Measured | RequestRefused | None = None) -> Round | None:
@@ -249,7 +245,9 @@ def following(steps: Steps, told: Measured | RequestRefused | None = None) -> Ro
         RequestRefused: `told`, where it ends the refinement.
     """
     try:
-        return steps.throw(told) if isinstance(told, RequestRefused) else steps.send(told)
+        if isinstance(told, RequestRefused):
+            return steps.throw(told)
+        return next(steps) if told is None else steps.send(told)
     except StopIteration:
         return None
 

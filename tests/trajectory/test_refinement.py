@@ -84,11 +84,11 @@ def first(on: Scripted, via: int | None = None) -> Round:
     kind: Interpolation = "linear" if via is None else "cubic"
     course = Course(LINE, kind, via is None, waypoints, knots, none, none[:, :3], np.zeros((len(knots), 1)))
     course = placed(on, course)
-    return Round(0, course, plan_of(on, course, 0), (), (), corrected=True)
+    return Round(0, course, plan_of(on, course, 0), corrected=True)
 
 
 def refined(on: Scripted, rounds: int, further: int | None = None, via: int | None = None) -> list[Round]:
-    work = Refinement(on, first(on, via), rounds, further=further)
+    work = Refinement(on, first(on, via), rounds, runs_left=lambda: further and 1 + further - len(on.plans))
     steps = work.steps()
     one = following(steps)
     while one is not None:
@@ -211,7 +211,7 @@ def test_a_joint_that_hardly_moves_is_led_elsewhere_as_a_whole_and_by_nothing_th
         on,
         first(on, via).course._replace(line=line, waypoints=joint_path(way, np.linspace(0.0, 1.0, 41), knots, "cubic")),
     )
-    one = Round(0, course, plan_of(on, course, 0), (), (), corrected=True)
+    one = Round(0, course, plan_of(on, course, 0), corrected=True)
     run = on.run(one.plan)
     run.positions_rad[:, 0] += 0.003 * np.sin(run.time_s * 2.0 * np.pi / 2.5)
     after = learn(on, one._replace(runs=(run,)), 0.5)
@@ -272,7 +272,7 @@ def test_a_via_point_is_led_where_the_tool_is_to_be_and_the_rest_stays() -> None
 
 def test_a_correction_that_leads_astray_ends_it_and_what_there_is_stays() -> None:
     on = Lagging()
-    work = Refinement(on, first(on, 2), 3, further=3)
+    work = Refinement(on, first(on, 2), 3, runs_left=lambda: 4 - len(on.plans))
     steps = work.steps()
     one = following(steps)
     assert one is not None
@@ -283,7 +283,7 @@ def test_a_correction_that_leads_astray_ends_it_and_what_there_is_stays() -> Non
 
 def test_a_stop_ends_it_and_what_there_is_stays() -> None:
     on = Lagging()
-    work = Refinement(on, first(on, 2), 3, further=3)
+    work = Refinement(on, first(on, 2), 3, runs_left=lambda: 4 - len(on.plans))
     steps = work.steps()
     one = following(steps)
     assert one is not None
