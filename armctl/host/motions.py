@@ -49,10 +49,10 @@ def run_leg(host: Host, plan: Plan, *, corrected: bool) -> Leg:
     """The motion of a run; refused by pre-flight with every reason."""
 
     def make(q_now: Sequence[float]) -> JointTrajectory:
-        if reasons := preflight(plan, host.arm, host.robot, q_now):
+        if reasons := preflight(plan, host, q_now):
             inside = all(within_limits(q, host.arm) for q in plan.waypoints_rad)
             raise RequestRefused("PREFLIGHT" if inside else "LIMIT", reasons)
-        return replace(joint_trajectory(plan, host.arm, q_now, host.period_s), corrected=corrected)
+        return replace(joint_trajectory(plan, host, q_now), corrected=corrected)
 
     return make
 
@@ -98,8 +98,8 @@ async def play(host: Host, client: Client, motion: Callable[[], TaughtMotion], r
         RequestRefused: FOREIGN_LOG, JOINTS, pre-flight (every reason), BUSY, stopped or failed on the way.
         LogError: the recording cannot be made.
     """
-    played = cache(lambda: playback(motion(), request.rate, host.arm, host.robot))
-    legs: list[Leg] = [lambda q_now: played().trajectory(q_now, host.period_s)] * request.repeat
+    played = cache(lambda: playback(motion(), request.rate, host))
+    legs: list[Leg] = [lambda q_now: played().trajectory(q_now)] * request.repeat
     note = {"event": "PLAY", "name": request.name, "rate": request.rate, "repeat": request.repeat}
     name, done = await host.execute(client, "play", legs, note)
     reference = played().reference

@@ -75,8 +75,7 @@ class Site(DrivenArm):
         if (play := step.play) is not None:
             if (motion := play.motion) is None:
                 motion = recordings.taught(recordings.load(recordings.find(self.recordings_dir, play.name or "")))
-            played = playback(motion, play.rate, self.arm, self.robot)
-            return [lambda q_now: played.trajectory(q_now, self.period_s)] * play.repeat
+            return [playback(motion, play.rate, self).trajectory] * play.repeat
         if step.grip or step.if_gripped:
             grasp.gripper_of(self)
         return [lambda q_now: grasp.gripping(q_now, self, closing=step.grip == "close")] if step.grip else []

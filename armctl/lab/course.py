@@ -87,7 +87,7 @@ def too_heavy(rig: Rig, model: LagModel | None, plan: Plan) -> str:
     """
     chain = rig.robot.chain
     model, bound = (lag.nominal(rig.arm, chain), UNKNOWN_HEAVIEST_RAD) if model is None else (model, HEAVIEST_RAD)
-    whole = np.array(joint_trajectory(plan, rig.arm, rig.goals_rad, rig.period_s).positions_rad)[:, : chain.n]
+    whole = np.array(joint_trajectory(plan, rig, rig.goals_rad).positions_rad)[:, : chain.n]
     most = lag.heaviest_rad(model, chain, whole, rig.period_s)
     borne = lag.heaviest_rad(model, chain, np.tile(whole[0], (2, 1)), rig.period_s)
     allowed = np.maximum(bound, np.minimum(LEAVING * borne, HEAVIEST_RAD))

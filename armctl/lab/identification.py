@@ -30,7 +30,6 @@ from armctl.dynamixel import ax12a
 from armctl.errors import LogError, RequestRefused
 from armctl.kinematics import robots
 from armctl.kinematics.chain import tool_position
-from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.lab import rehearsal
 from armctl.recording import channels
@@ -64,6 +63,8 @@ NEUTRAL_NM = 0.03
 STARTS, STEPS, TRIED, HEAVY_NM2 = 400, 80, 40, 0.005
 # How far joints then are from the base pose [rad], and how fast the farthest goes [rad/s]; none: for how long [s].
 Move = tuple[Mapping[int, float], float]
+# Some of them, by how far out they are and how much slower.
+Moves = Callable[..., Iterable[Move]]
 
 
 def leg(way_rad: float, speed_rad_s: float, period_s: float) -> FloatArray:
@@ -114,21 +115,22 @@ def lean(by: int, about_rad: float, lean_rad: float, sweeping: int | None, *_: f
             yield {sweeping: share * SWEEP_RAD}, math.radians(speed)
 
 
-def gravity_Nm(arm: ArmConfig, robot: Robot, q: FloatArray) -> FloatArray:
+def gravity_Nm(on: Driven, q: FloatArray) -> FloatArray:
     """About each joint of an arm nobody has weighed, at positions q [rad]: both of shape (m, joints)."""
-    return np.asarray((identification.burdens(arm, robot.chain, q)[0] @ identification.usual_kg(arm, robot.chain.n)).T)
+    arm, chain = on.arm, on.robot.chain
+    return np.asarray((identification.burdens(arm, chain, q)[0] @ identification.usual_kg(arm, chain.n)).T)
 
 
-def balanced(arm: ArmConfig, robot: Robot) -> list[FloatArray]:
+def balanced(on: Driven) -> list[FloatArray]:
     """Poses [rad], shape (joints,), in which gravity is least, the highest tool first."""
     rng = np.random.default_rng(0)
-    low, high = np.array([joint.limits_rad for joint in arm.joints]).T
+    low, high = np.array([joint.limits_rad for joint in on.arm.joints]).T
     middle, room = (low + high) / 2.0, 1.25 * SWEEP_RAD
     low, high = np.minimum(low + room, middle), np.maximum(high - room, middle)
     q = rng.uniform(low, high, (STARTS, len(low)))
 
     def cost(q: FloatArray) -> FloatArray:
-        return np.asarray(np.square(gravity_Nm(arm, robot, q)).sum(axis=1))
+        return np.asarray(np.square(gravity_Nm(on, q)).sum(axis=1))
 
     for k in range(STEPS):
         near = np.clip(q + rng.normal(0.0, 0.5 * 0.92**k, q.shape), low, high)
@@ -136,7 +138,7 @@ def balanced(arm: ArmConfig, robot: Robot) -> list[FloatArray]:
     for k in range(len(middle)):  # what gravity does not mind stays in the middle
         aside = np.where(np.arange(len(middle)) == k, middle, q)
         q = np.where((np.abs(cost(aside) - cost(q)) < 1e-9)[:, None], aside, q)
-    height_m = tool_position(robot.chain, q[:, : robot.chain.n])[:, 2]
+    height_m = tool_position(on.robot.chain, q[:, : on.robot.chain.n])[:, 2]
     return list(q[np.lexsort((-height_m, cost(q) > HEAVY_NM2))[:TRIED]])
 
 
@@ -148,9 +150,9 @@ def plans(on: Driven, joints: Sequence[int], quick_at: Sequence[float] | None = 
     Raises:
         RequestRefused: NO_ROOM.
     """
-    for base in balanced(on.arm, on.robot) if quick_at is None else [np.array(quick_at)]:
+    for base in balanced(on) if quick_at is None else [np.array(quick_at)]:
         quick = [(j, 0.0, partial(sweep, j, QUICK, j)) for j in joints]
-        wanted = quick if quick_at is not None else _wanted(on.arm, on.robot, base, joints)
+        wanted = quick if quick_at is not None else _wanted(on, base, joints)
         found = [(on.arm.joints[j].name, _allowed(on, base, most, moves)) for j, most, moves in wanted]
         kept = [(name, plan) for name, plan in found if plan is not None]
         if kept and (quick_at is not None or len(kept) == len(found)):
@@ -158,7 +160,7 @@ def plans(on: Driven, joints: Sequence[int], quick_at: Sequence[float] | None = 
     raise RequestRefused("NO_ROOM", "no pose leaves the joints room to move; widen limits_deg, or name fewer --joints")
 
 
-def _allowed(on: Driven, base: FloatArray, most_rad: float, moves: Callable[..., Iterable[Move]]) -> Plan | None:
+def _allowed(on: Driven, base: FloatArray, most_rad: float, moves: Moves) -> Plan | None:
     """The farthest and fastest way of some moves that pre-flight allows."""
     for out_rad, slower in product(sorted({min(most_rad, out) for out in OUT_RAD}, reverse=True), SLOWER):
         q = rows_of(base, moves(out_rad, slower), on.period_s)
@@ -166,21 +168,19 @@ def _allowed(on: Driven, base: FloatArray, most_rad: float, moves: Callable[...,
         asked: dict[str, Any] = {"from_m": tuple(first), "to_m": tuple(last), "interpolation": "linear", "seed": 0}
         knots = time_law(np.linspace(0.0, 1.0, len(q)))
         plan = plan_through(on.arm, q, knots, (0.0, 0.0), duration_s=on.period_s * (len(q) - 1), **asked)
-        if not preflight(plan, on.arm, on.robot, plan.waypoints_rad[0]):
+        if not preflight(plan, on, plan.waypoints_rad[0]):
             return plan
     return None
 
 
-def _wanted(
-    arm: ArmConfig, robot: Robot, base: FloatArray, joints: Sequence[int]
-) -> Iterator[tuple[int, float, Callable[..., Iterable[Move]]]]:
+def _wanted(on: Driven, base: FloatArray, joints: Sequence[int]) -> Iterator[tuple[int, float, Moves]]:
     """For which joint, how far out at most, and the moves."""
     step = 0.05 * np.eye(len(base))
-    grows = (gravity_Nm(arm, robot, base + step) - gravity_Nm(arm, robot, base - step)).T / 0.1
+    grows = (gravity_Nm(on, base + step) - gravity_Nm(on, base - step)).T / 0.1
     heavy = [j for j in range(len(base)) if np.abs(grows[j]).max() > NEUTRAL_NM]
     neutral = [j for j in joints if np.abs(grows[:, j]).max() < NEUTRAL_NM]
     leant = [j for j in heavy if j in joints and len(heavy) > 1]
-    [now] = gravity_Nm(arm, robot, base[None])
+    [now] = gravity_Nm(on, base[None])
     for j, sweeping in zip(leant, cycle(neutral or [None]), strict=False):
         by = next(k for k in heavy if k != j and abs(grows[j, k]) > 0.8 * np.abs(np.delete(grows[j], j)).max())
         lean_rad = min(LEANS_NM / abs(float(grows[j, by])), MOST_LEAN_RAD)

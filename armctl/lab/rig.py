@@ -77,7 +77,7 @@ class ObservingClock(VirtualClock):
         super().sleep_until_ns(deadline_ns)
 
 
-class VirtualRig:
+class VirtualRig(VirtualArm):
     """A simulated arm under the real bus and control loop, in virtual time; torque is on."""
 
     def __init__(self, simulated: SimulatedArm, period_s: float = 0.1) -> None:
@@ -85,29 +85,22 @@ class VirtualRig:
         Raises:
             RequestRefused: the arm does not take torque.
         """
-        self.simulated = simulated
-        self._clock = ObservingClock(simulated)
-        self._virtual = VirtualArm(simulated, period_s, clock=self._clock)
-        self.arm, self.robot, self.period_s = self._virtual.arm, self._virtual.robot, period_s
-        self._virtual.energise(FIRST_TICKS)
-
-    @property
-    def goals_rad(self) -> tuple[float, ...]:
-        """Where the arm is commanded to be."""
-        return self._virtual.goals_rad
+        self._observing = ObservingClock(simulated)
+        super().__init__(simulated, period_s, clock=self._observing)
+        self.energise(FIRST_TICKS)
 
     def use(self, model: LagModel) -> None:
-        self._virtual.carry_out(UseModel(self._virtual.next_id(), model))
+        self.carry_out(UseModel(self.next_id(), model))
 
     def run(self, plan: Plan, *, corrected: bool = True) -> Measured:
-        if reasons := preflight(plan, self.arm, self.robot, self.goals_rad):
+        if reasons := preflight(plan, self, self.goals_rad):
             raise RequestRefused("PREFLIGHT", reasons)
-        trajectory = replace(joint_trajectory(plan, self.arm, self.goals_rad, self.period_s), corrected=corrected)
-        clock = self._clock
+        trajectory = replace(joint_trajectory(plan, self, self.goals_rad), corrected=corrected)
+        clock = self._observing
         clock.seen = []
         clock.observe_from_ns = clock.now_ns() + round((trajectory.begin_s - EARLY_TICKS * self.period_s) * NS_PER_S)
         try:
-            records = self._virtual.carry_out(Run(self._virtual.next_id(), trajectory))
+            records = self.carry_out(Run(self.next_id(), trajectory))
         finally:
             clock.observe_from_ns = None
         marks = {event.code: record.inputs.sample.time_ns for record in records for event in record.outputs.events}
@@ -131,13 +124,13 @@ class VirtualRig:
         Raises:
             UnreachableTarget: an end of the line is out of the hand's reach.
         """
-        virtual, hand = self._virtual, self.simulated.hand
+        hand = self.simulated.hand
         try:
             guided = hand.guide(A, B, seed=seed)
-            records = virtual.carry_out(Teach(virtual.next_id()))
-            records += virtual.ticks(round(guided.duration_s / self.period_s))
-            virtual.carry_out(TeachEnd(virtual.next_id()))
-            virtual.carry_out(TorqueOn(virtual.next_id()))
+            records = self.carry_out(Teach(self.next_id()))
+            records += self.ticks(round(guided.duration_s / self.period_s))
+            self.carry_out(TeachEnd(self.next_id()))
+            self.carry_out(TorqueOn(self.next_id()))
         finally:
             hand.release()
         begin, end = (round(at / self.period_s) for at in (guided.begin_s - BEFORE_S, guided.end_s + AFTER_S))

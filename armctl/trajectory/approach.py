@@ -9,7 +9,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from armctl.config import ArmConfig
 from armctl.kinematics.chain import link_frames, tool_position
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
@@ -21,13 +20,13 @@ APPROACH_SPEED_RAD_S = math.radians(20.0)
 SHORTEST_APPROACH_S = 0.5
 
 
-def approach_duration_s(q0: FloatArray, q1: FloatArray, arm: ArmConfig, robot: Robot) -> float:
+def approach_duration_s(q0: FloatArray, q1: FloatArray, on: Driven) -> float:
     """Time of a synchronised quintic of at most 20 deg/s, slower where a joint's or the tool's limit is lower.
 
     Args:
         q0, q1: Start and end [rad], shape (joints,).
     """
-    distance = np.abs(q1 - q0)
+    distance, arm, robot = np.abs(q1 - q0), on.arm, on.robot
     if not distance.any():
         return 0.0
     speed = np.minimum([joint.speed_limit_rad_s for joint in arm.joints], APPROACH_SPEED_RAD_S)
@@ -51,7 +50,7 @@ def approach_trajectory(
     """
     start, end = np.asarray(q0, dtype=np.float64), np.asarray(q1, dtype=np.float64)
     if duration_s is None:
-        duration_s = approach_duration_s(start, end, on.arm, on.robot)
+        duration_s = approach_duration_s(start, end, on)
     rows = max(1, math.ceil(duration_s / on.period_s - 1e-9))
     positions = rest_to_rest(start, end, np.arange(rows + 1) / rows)
     return JointTrajectory(on.period_s, tuple(map(tuple, positions.tolist())), label=label)

@@ -23,17 +23,20 @@ QUINTIC_PEAK_SPEED = 1.875
 QUINTIC_PEAK_ACCELERATION = 10.0 / 3.0**0.5
 
 
-def time_law(u: FloatArray) -> FloatArray:
-    """Progress at the fraction `u` of the duration; C3, rest at both ends, peak speed `PEAK_SPEED`.
+def time_law(u: FloatArray, ramp_share: float = RAMP) -> FloatArray:
+    """Progress at the fraction `u` of the duration; C3, rest at both ends, peak speed 1 / (1 - ramp_share).
 
     Args:
         u: Fractions, any shape; below 0 counts as 0, above 1 as 1.
+        ramp_share: Of the duration, in which it speeds up, and in which it slows down; 0.5 at most.
     """
+    peak_speed = 1.0 / (1.0 - ramp_share)
     u = np.clip(u, 0.0, 1.0)
     # Speed climbs as 6x^5 - 15x^4 + 10x^3; `ramp` is its integral.
-    x = np.minimum(np.minimum(u, 1.0 - u) / RAMP, 1.0)
-    ramp = PEAK_SPEED * RAMP * np.square(x * x) * (x * (x - 3.0) + 2.5)
-    return np.where(u < RAMP, ramp, np.where(u > 1.0 - RAMP, 1.0 - ramp, PEAK_SPEED * (u - RAMP / 2.0)))
+    x = np.minimum(np.minimum(u, 1.0 - u) / ramp_share, 1.0)
+    ramp = peak_speed * ramp_share * np.square(x * x) * (x * (x - 3.0) + 2.5)
+    even = peak_speed * (u - ramp_share / 2.0)
+    return np.where(u < ramp_share, ramp, np.where(u > 1.0 - ramp_share, 1.0 - ramp, even))
 
 
 def time_of_progress(s: FloatArray) -> FloatArray:

@@ -22,7 +22,6 @@ import numpy as np
 from armctl.config import ArmConfig
 from armctl.errors import RequestRefused
 from armctl.kinematics.chain import jacobian, tool_position
-from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import LONGEST_S, JointTrajectory
 from armctl.trajectory import line_path
@@ -79,7 +78,7 @@ def path_motion(request: PathRequest, q_now: Sequence[float], on: Driven) -> Pat
     if learnt and (learnt.arm_id, learnt.calibration_hash, len(learnt.begin_rad)) != mine:
         raise RequestRefused("FOREIGN_PATH", f"it was refined on arm {learnt.arm_id}, or before a calibration")
     begin_rad, farther_rad = (learnt.begin_rad, 0.0) if learnt else (q_now, FARTHER_RAD)
-    for way in islice(joint_ways(outline, begin_rad, arm, robot, farther_rad), 1 if learnt else None):
+    for way in islice(joint_ways(outline, begin_rad, on, farther_rad), 1 if learnt else None):
         pace_s = _slowest_pace_s(way, outline, arm)
         duration_s, least_s = _duration_s(request.duration_s, pace_s, outline.length_m)
         if request.duration_s is not None and least_s > request.duration_s:
@@ -88,7 +87,7 @@ def path_motion(request: PathRequest, q_now: Sequence[float], on: Driven) -> Pat
         for _ in range(TIMES_LONGER):
             progress = _progress(pace_s, duration_s)
             motion = _motion(way, progress, duration_s, q_now[robot.chain.n :], learnt)
-            reasons = against(motion, duration_s, arm, robot, q_now)
+            reasons = against(motion, duration_s, on, q_now)
             if not reasons:
                 return PathMotion(led_in(motion, duration_s, on, q_now, "path"), *_told(outline, progress))
             if request.duration_s is not None or not all("give it a duration" in reason for reason in reasons):
@@ -99,7 +98,7 @@ def path_motion(request: PathRequest, q_now: Sequence[float], on: Driven) -> Pat
 
 
 def joint_ways(
-    outline: Outline, q_now: Sequence[float], arm: ArmConfig, robot: Robot, farther_rad: float = FARTHER_RAD
+    outline: Outline, q_now: Sequence[float], on: Driven, farther_rad: float = FARTHER_RAD
 ) -> Iterator[FloatArray]:
     """Ways of the joints along the path, at most `TRIED_WAYS`, the most promising first.
 
@@ -108,7 +107,7 @@ def joint_ways(
     Raises:
         RequestRefused: code PATH, there is none; says where the path leaves what the arm reaches.
     """
-    chain = robot.chain
+    arm, chain = on.arm, on.robot.chain
     limits = np.array([joint.limits_rad for joint in arm.joints[: chain.n]])
     limits = limits + np.array([line_path.MARGIN_RAD, -line_path.MARGIN_RAD])
     stations = np.linspace(0.0, outline.length_m, max(5, math.ceil(outline.length_m / STATION_M)) + 1)

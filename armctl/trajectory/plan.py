@@ -17,8 +17,6 @@ import numpy as np
 from pydantic import Field
 
 from armctl.config import ArmConfig, Frozen, Name, validate
-from armctl.kinematics import robots
-from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import LONGEST_S, JointTrajectory
 from armctl.strict_yaml import parse_json
@@ -130,18 +128,16 @@ def plan_positions(plan: Plan, time_s: FloatArray) -> FloatArray:
     return joint_path(np.array(plan.waypoints_rad), np.array(plan.waypoint_progress), s, plan.interpolation)
 
 
-def joint_trajectory(plan: Plan, arm: ArmConfig, q_now: Sequence[float], period_s: float) -> JointTrajectory:
+def joint_trajectory(plan: Plan, on: Driven, q_now: Sequence[float]) -> JointTrajectory:
     """The whole motion from where the arm is: slow approach, dwell, the plan proper in [begin_s, end_s], settle.
 
     The approach is a synchronised quintic of at most 20 deg/s, slower where a joint's or the tool's limit is lower.
 
     Args:
         q_now: Commanded joint positions [rad], shape (joints,).
-        period_s: Time between two rows.
     Raises:
         ValueError: `q_now` is not one finite number a joint of the plan, or the period is not positive.
     """
-    on = DrivenArm(arm, robots.of(arm), period_s)
     return led_in(partial(plan_positions, plan), plan.duration_s, on, q_now, f"line via {plan.via}", early_s=math.inf)
 
 
@@ -165,21 +161,21 @@ def led_in(
     low, high = np.array([joint.limits_rad for joint in arm.joints]).T
     lead_rad = _lead(motion, min(early_s, LEAD_SHARE * duration_s))
     behind = np.where((low <= start) & (start <= high), np.clip(start - lead_rad, low, high), start)
-    there_s, led_s = [approach_duration_s(a, b, arm, on.robot) for a, b in ((q0, behind), (behind, start))]
+    there_s, led_s = [approach_duration_s(a, b, on) for a, b in ((q0, behind), (behind, start))]
     ways = [(q0, behind, there_s), (behind, start, max(LEAD_S, led_s) if led_s else 0.0)]
     return approached(ways, motion, duration_s, period_s, label)
 
 
 def against(
-    motion: Motion, duration_s: float, arm: ArmConfig, robot: Robot, q_now: Sequence[float], *, early_s: float = EARLY_S
+    motion: Motion, duration_s: float, on: Driven, q_now: Sequence[float], *, early_s: float = EARLY_S
 ) -> tuple[str, ...]:
     """Every reason why a motion, led in as `led_in` does, must not run from `q_now` [rad]; empty: it may.
 
     Looks at the whole motion, approach included, every `CHECK_PERIOD_S`.
     """
-    on = DrivenArm(arm, robot, CHECK_PERIOD_S)
-    whole = led_in(motion, duration_s, on, q_now, "", early_s=early_s)
-    return preflight_motion(np.array(whole.positions_rad), on, duration_s=duration_s)
+    checked = DrivenArm(on.arm, on.robot, CHECK_PERIOD_S)
+    whole = led_in(motion, duration_s, checked, q_now, "", early_s=early_s)
+    return preflight_motion(np.array(whole.positions_rad), checked, duration_s=duration_s)
 
 
 def approached(
@@ -218,9 +214,9 @@ def _lead(motion: Motion, early_s: float) -> FloatArray:
     return np.asarray(np.clip(early - start, -LEAD_RAD, LEAD_RAD))
 
 
-def preflight(plan: Plan, arm: ArmConfig, robot: Robot, q_now: Sequence[float]) -> tuple[str, ...]:
+def preflight(plan: Plan, on: Driven, q_now: Sequence[float]) -> tuple[str, ...]:
     """Every reason why the plan must not run on this arm from `q_now`; empty: it may."""
-    reasons = []
+    reasons, arm = [], on.arm
     if plan.arm_id != arm.arm_id:
         reasons.append(f"the plan was made for arm {plan.arm_id!r}, this is {arm.arm_id!r}; optimise for this arm")
     elif plan.calibration_hash != arm.calibration_hash:
@@ -231,4 +227,4 @@ def preflight(plan: Plan, arm: ArmConfig, robot: Robot, q_now: Sequence[float]) 
         return (*reasons, f"the plan moves {len(plan.waypoints_rad[0])} joints, the arm has {joints}")
     if len(q_now) != joints or not all(map(math.isfinite, q_now)):
         return (*reasons, f"the arm stands at {list(q_now)}, not {joints} known joint angles; connect it first")
-    return (*reasons, *against(partial(plan_positions, plan), plan.duration_s, arm, robot, q_now, early_s=math.inf))
+    return (*reasons, *against(partial(plan_positions, plan), plan.duration_s, on, q_now, early_s=math.inf))

@@ -20,18 +20,17 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from armctl.config import ArmConfig, Frozen, Name, validate
+from armctl.config import Frozen, Name, validate
 from armctl.dynamixel.ax12a import TICK_RAD
 from armctl.errors import ConfigError, RequestRefused
 from armctl.kinematics.chain import tool_position
-from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import LONGEST_S, JointTrajectory
 from armctl.strict_yaml import csv_table, finite
 from armctl.trajectory.bounds import Joints
-from armctl.trajectory.interpolate import columns_at
+from armctl.trajectory.interpolate import columns_at, time_law
 from armctl.trajectory.plan import CHECK_PERIOD_S, against, led_in
-from armctl.trajectory.preflight import EDGE_TICKS, ROUNDING, DrivenArm, peak_tool_speed, times_too_fast
+from armctl.trajectory.preflight import EDGE_TICKS, ROUNDING, Driven, peak_tool_speed, times_too_fast
 from armctl.trajectory.reference import ReferencePath
 from armctl.trajectory.smoothing import local_cubics
 
@@ -122,8 +121,7 @@ def motion_from_text(text: str, file: str) -> TaughtMotion:
 class Playback(NamedTuple):
     """A taught motion for one arm, smoothed and timed."""
 
-    arm: ArmConfig
-    robot: Robot
+    on: Driven
     rate: float
     # Of the taught motion, since its begin, shape (m,).
     taught_s: FloatArray
@@ -140,22 +138,16 @@ class Playback(NamedTuple):
 
     def taught_at(self, time_s: FloatArray) -> FloatArray:
         """Taught time [s] at times since the begin [s], both of shape (k,)."""
-        ease_s, time_s = self.ease_s, np.clip(time_s, 0.0, self.duration_s)
-        # The rate climbs as 6x^5 - 15x^4 + 10x^3; this is its integral.
-        x = np.minimum(np.minimum(time_s, self.duration_s - time_s) / ease_s, 1.0)
-        eased = self.rate * ease_s * np.square(x * x) * (x * (x - 3.0) + 2.5)
-        even = self.rate * (time_s - ease_s / 2.0)
-        ending = np.where(time_s > self.duration_s - ease_s, self.taught_s[-1] - eased, even)
-        return np.asarray(np.where(time_s < ease_s, eased, ending))
+        return np.asarray(self.taught_s[-1] * time_law(time_s / self.duration_s, self.ease_s / self.duration_s))
 
     @property
     def reference(self) -> ReferencePath:
         """The taught path of the tool by the share of the motion's time."""
         share = np.linspace(0.0, 1.0, len(self.taught_s))
         q = columns_at(self.taught_at(share * self.duration_s), self.taught_s, self.positions_rad)
-        return ReferencePath(share, tool_position(self.robot.chain, q[:, : self.robot.chain.n]))
+        return ReferencePath(share, tool_position(self.on.robot.chain, q[:, : self.on.robot.chain.n]))
 
-    def trajectory(self, q_now: Sequence[float], period_s: float) -> JointTrajectory:
+    def trajectory(self, q_now: Sequence[float]) -> JointTrajectory:
         """The whole motion from where the arm is.
 
         Args:
@@ -168,9 +160,9 @@ class Playback(NamedTuple):
         def motion(time_s: FloatArray) -> FloatArray:
             return columns_at(self.taught_at(time_s), self.taught_s, kept)
 
-        if reasons := against(motion, self.duration_s, self.arm, self.robot, q_now):
+        if reasons := against(motion, self.duration_s, self.on, q_now):
             raise RequestRefused("PREFLIGHT", self._with_rate(reasons, kept))
-        return led_in(motion, self.duration_s, DrivenArm(self.arm, self.robot, period_s), q_now, "play")
+        return led_in(motion, self.duration_s, self.on, q_now, "play")
 
     def _with_rate(self, reasons: Sequence[str], kept: FloatArray) -> list[str]:
         """The reasons, with the rate that would do in place of a duration."""
@@ -187,21 +179,22 @@ class Playback(NamedTuple):
         """How many times too fast it is: a number by which the rate has to be divided."""
         time_s = np.arange(0.0, self.duration_s + CHECK_PERIOD_S, CHECK_PERIOD_S)
         q = columns_at(self.taught_at(time_s), self.taught_s, kept)
-        tool_m_s = peak_tool_speed(tool_position(self.robot.chain, q[:, : self.robot.chain.n]), CHECK_PERIOD_S)
-        return max(times_too_fast(q, CHECK_PERIOD_S, self.arm.joints), tool_m_s / self.arm.tool_speed_limit_m_s)
+        tool_m_s = peak_tool_speed(tool_position(self.on.robot.chain, q[:, : self.on.robot.chain.n]), CHECK_PERIOD_S)
+        return max(times_too_fast(q, CHECK_PERIOD_S, self.on.arm.joints), tool_m_s / self.on.arm.tool_speed_limit_m_s)
 
 
-def playback(motion: TaughtMotion, rate: float, arm: ArmConfig, robot: Robot) -> Playback:
+def playback(motion: TaughtMotion, rate: float, on: Driven) -> Playback:
     """A taught motion as this arm plays it.
 
     Raises:
         RequestRefused: code FOREIGN_LOG, another arm was taught, or with another calibration; code JOINTS, a joint of
             the arm is missing in it, or it has others.
     """
+    arm = on.arm
     if motion.arm_id and (motion.arm_id, motion.calibration_hash) != (arm.arm_id, arm.calibration_hash):
         other = f"it was recorded with arm {motion.arm_id}, calibration {motion.calibration_hash}"
         raise RequestRefused("FOREIGN_LOG", f"{other}; this is {arm.arm_id}, {arm.calibration_hash}")
-    known, needed = ", ".join(arm.joint_names), arm.joint_names[: robot.chain.n]
+    known, needed = ", ".join(arm.joint_names), arm.joint_names[: on.robot.chain.n]
     reasons = [f"there is no joint {name!r}; joints: {known}" for name in motion.joints if name not in arm.joint_names]
     reasons += [f"joint {name} is missing; it moves the tool" for name in needed if name not in motion.joints]
     if reasons:
@@ -215,4 +208,4 @@ def playback(motion: TaughtMotion, rate: float, arm: ArmConfig, robot: Robot) ->
     positions[:, [arm.joint_names.index(name) for name in motion.joints]] = smooth
     inside = np.clip(positions, *np.array([joint.limits_rad for joint in arm.joints]).T)
     at_limit = np.abs(positions - inside) < (EDGE_TICKS + 0.5) * TICK_RAD
-    return Playback(arm, robot, rate, rows_s, np.where(at_limit, inside, positions))
+    return Playback(on, rate, rows_s, np.where(at_limit, inside, positions))

@@ -26,6 +26,8 @@ def local_cubics(
         ValueError: fewer than five samples around some instant.
     """
     found = np.empty((3, len(at_s), values.shape[1]))
+    # Powers of the time count in half widths, and the second derivative of the square is 2.
+    units = np.array([[1.0], [half_width_s], [half_width_s**2 / 2.0]])
     for index, instant in enumerate(at_s):
         away = (time_s - instant) / half_width_s
         near = np.abs(away) < 1.0
@@ -34,7 +36,5 @@ def local_cubics(
         weights = (1.0 - np.abs(away[near]) ** 3) ** 1.5  # the root of the tricube
         powers = away[near][:, None] ** np.arange(DEGREE + 1)
         coefficients = np.linalg.lstsq(powers * weights[:, None], values[near] * weights[:, None])[0]
-        found[0, index] = coefficients[0]
-        found[1, index] = coefficients[1] / half_width_s
-        found[2, index] = 2.0 * coefficients[2] / half_width_s**2
+        found[:, index] = coefficients[:3] / units
     return found[0], found[1], found[2]

@@ -116,7 +116,7 @@ def transfer_trajectory(cycle: TransferRequest, q_now: Sequence[float], on: Driv
     n, model = on.robot.chain.n, motion(cycle, on.arm, on.robot)
     q0 = np.asarray(q_now, dtype=np.float64)
     start = np.concatenate([model.sample(np.zeros(1))[0][0], q0[n:]])
-    approach_s = approach_duration_s(q0, start, on.arm, on.robot)
+    approach_s = approach_duration_s(q0, start, on)
 
     def positions(time_s: FloatArray) -> FloatArray:
         return np.concatenate([model.sample(time_s)[0], np.tile(q0[n:], (len(time_s), 1))], axis=1)
@@ -140,25 +140,24 @@ def _reversed(piece: Quintic) -> Quintic:
     return Quintic(np.array(powers) @ piece.coefficients, piece.duration_s)
 
 
-def _lift(at_m: FloatArray, near: FloatArray, cycle: TransferRequest, arm: ArmConfig, robot: Robot) -> list[Quintic]:
+def _lift(
+    station_m: FloatArray, near: FloatArray, cycle: TransferRequest, arm: ArmConfig, robot: Robot
+) -> list[Quintic]:
     """From over a station, as near to `near` as there is, straight down onto it."""
-    duration_s = cycle.lift_s / LIFT_PIECES
-    top = at_m + np.array([0.0, 0.0, cycle.height_m])
+    down = quintic(station_m + np.array([0.0, 0.0, cycle.height_m]), station_m, cycle.lift_s)
     ends: list[tuple[FloatArray, FloatArray, FloatArray]] = []
-    for tau in np.linspace(0.0, 1.0, LIFT_PIECES + 1).tolist():
-        speed = 30.0 * tau**2 * (1.0 - tau) ** 2 / cycle.lift_s
-        change = 60.0 * tau * (1.0 - tau) * (1.0 - 2.0 * tau) / cycle.lift_s**2
-        place = top + tau**3 * (tau * (6.0 * tau - 15.0) + 10.0) * (at_m - top)
+    for place, speed, change in zip(*down.sample(np.linspace(0.0, cycle.lift_s, LIFT_PIECES + 1)), strict=True):
         there = _paw_down(place, near, arm, robot)[0]
-        if tau > 0.0 and np.abs(there - near).max() > JUMP_RAD:
+        if ends and np.abs(there - near).max() > JUMP_RAD:
             x, y, z = place.tolist()
             why = f"on its way down the arm would have to change its pose at ({x:.3f}, {y:.3f}, {z:.3f}) m"
             raise RequestRefused("UNREACHABLE", f"{why}: move the station, or lower the height")
         near = there
-        down = np.array([0.0, 0.0, -cycle.height_m, 0.0, 0.0, 0.0])
-        J = jacobian(robot.chain, near)
-        q_rate = joint_rates(J, speed * down)
-        ends.append((near, q_rate, joint_rates(J, change * down - jacobian_rate(robot.chain, near, q_rate) @ q_rate)))
+        J, still = jacobian(robot.chain, near), np.zeros(3)  # it does not turn
+        q_rate = joint_rates(J, np.append(speed, still))
+        change = np.append(change, still) - jacobian_rate(robot.chain, near, q_rate) @ q_rate
+        ends.append((near, q_rate, joint_rates(J, change)))
+    duration_s = cycle.lift_s / LIFT_PIECES
     return [quintic(q0, q1, duration_s, v0=v0, v1=v1, a0=a0, a1=a1) for (q0, v0, a0), (q1, v1, a1) in pairwise(ends)]
 
 

@@ -69,7 +69,7 @@ def test_every_limit_of_time_is_in_seconds_at_every_period(period_s: float) -> N
     rig.ticks(round(1.0 / period_s))
     assert rig.goals_rad == goal
 
-    way_s = approach_duration_s(np.array(goal), np.array([joint.rest_rad for joint in ARM.joints]), ARM, rig.robot)
+    way_s = approach_duration_s(np.array(goal), np.array([joint.rest_rad for joint in ARM.joints]), rig)
     took_s = answered(rig, Park(4), way_s + VERIFY_S + 6.0 * period_s)
     assert took_s >= way_s
     assert not any(servo.torque_enabled for servo in rig.simulated.servos)

@@ -21,6 +21,7 @@ from armctl.kinematics.transform import FloatArray, IntArray
 from armctl.trajectory.interpolate import Interpolation
 from armctl.trajectory.placement import POWER, Objective
 from armctl.trajectory.plan import plan_from_text, plan_to_text, preflight
+from armctl.trajectory.preflight import DrivenArm
 from armctl.trajectory.straightness import distance_to_line, errors_mm, mean_error
 from armctl.trajectory.via_points import predict_tool_path
 from tests.genetic import hand
@@ -145,7 +146,7 @@ def test_plans_begin_on_A_end_on_B_and_predict_what_they_simulate(five: Straight
 def test_every_plan_passes_pre_flight_from_the_rest_pose(interpolation: Interpolation) -> None:
     for plan in optimized(hand.recordings(5, 4), via=(0, 1, 2), interpolation=interpolation).plans:
         assert plan.interpolation == interpolation
-        assert preflight(plan, ARM, ROBOT, [joint.rest_rad for joint in ARM.joints]) == ()
+        assert preflight(plan, DrivenArm(ARM, ROBOT, 0.1), [joint.rest_rad for joint in ARM.joints]) == ()
 
 
 def test_via_points_make_the_motion_several_times_straighter(five: StraightLineResult) -> None:

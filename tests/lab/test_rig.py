@@ -60,7 +60,7 @@ def test_readings_of_a_recorded_run_have_the_times_of_its_plan_though_the_arm_wa
     def recorded(name: str, *faults: Fault) -> Recording:
         arm = VirtualArm(SimulatedArm(hand.arm(), seed=1, spec=KIND, faults=Faults(faults, seed=1)))
         arm.energise(5)
-        trajectory = replace(joint_trajectory(wanted, arm.arm, arm.goals_rad, on.period_s), corrected=False)
+        trajectory = replace(joint_trajectory(wanted, arm, arm.goals_rad), corrected=False)
         records = arm.carry_out(Run(arm.next_id(), trajectory))
         begun_ns.append(
             next(r.inputs.sample.time_ns for r in records for e in r.outputs.events if e.code == "PLAN_BEGIN")

@@ -29,6 +29,7 @@ from armctl.kinematics.inverse import solve_position
 from armctl.kinematics.transform import FloatArray
 from armctl.sim.control import SimulatorClient, Truth, control_path
 from armctl.trajectory.plan import Plan, joint_trajectory
+from armctl.trajectory.preflight import DrivenArm
 from tests.control.ideal_arm import IdealArm
 from tests.host.doubles import small_plan
 
@@ -210,7 +211,7 @@ class Bench:
         """A run along the line, half way and at full speed when this returns."""
         snapshot = self.until(lambda snapshot: snapshot["tool"])
         plan = line_plan(snapshot)
-        trajectory = joint_trajectory(plan, ARM, simulator.goals_rad(), snapshot["period_s"])
+        trajectory = joint_trajectory(plan, DrivenArm(ARM, robots.of(ARM), snapshot["period_s"]), simulator.goals_rad())
         middle = (trajectory.begin_s + trajectory.end_s) / 2.0 / trajectory.duration_s
         answer = self.run(plan)
         self.until(lambda snapshot: answer.done() or (snapshot["progress"] or 0.0) >= middle)

@@ -46,8 +46,8 @@ def test_no_approach_is_faster_than_20_degrees_a_second_or_the_tool_limit(
 
 def test_a_tiny_way_still_takes_its_time_and_no_way_takes_none() -> None:
     q0 = np.zeros(6)
-    assert approach_duration_s(q0, q0 + 1e-4, ARM, ROBOT) == pytest.approx(SHORTEST_APPROACH_S)
-    assert approach_duration_s(q0, q0, ARM, ROBOT) == 0.0
+    assert approach_duration_s(q0, q0 + 1e-4, ON) == pytest.approx(SHORTEST_APPROACH_S)
+    assert approach_duration_s(q0, q0, ON) == 0.0
     assert len(approach_trajectory(tuple(q0), tuple(q0), ON, "x").positions_rad) == 2
 
 

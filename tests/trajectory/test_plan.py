@@ -17,6 +17,7 @@ from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
 from armctl.trajectory import plan as module
 from armctl.trajectory.plan import Plan, joint_trajectory, plan_from_text, plan_positions, plan_to_text, preflight
+from armctl.trajectory.preflight import DrivenArm
 from tests.genetic import hand
 from tests.genetic.hand import changed
 from tests.kinematics.conftest import rngs
@@ -47,7 +48,9 @@ def make_plan(**changes: Any) -> Plan:
 
 def reasons_for(arm: ArmConfig, plan: Plan | None = None, q_now: list[float] = REST) -> tuple[str, ...]:
     plan = plan or make_plan()
-    return preflight(plan.model_copy(update={"calibration_hash": arm.calibration_hash}), arm, ROBOT, q_now)
+    return preflight(
+        plan.model_copy(update={"calibration_hash": arm.calibration_hash}), DrivenArm(arm, ROBOT, 0.1), q_now
+    )
 
 
 def the_reason(arm: ArmConfig = ARM, plan: Plan | None = None, q_now: list[float] = REST) -> str:
@@ -94,7 +97,7 @@ def test_a_trajectory_starts_where_the_arm_is_and_follows_the_plan_between_its_m
 ) -> None:
     q_now = (np.array(REST) + rng.uniform(-1.5, 1.5, 6)).tolist()
     plan = make_plan(duration_s=duration_s)
-    trajectory = joint_trajectory(plan, ARM, q_now, period_s)
+    trajectory = joint_trajectory(plan, DrivenArm(ARM, ROBOT, period_s), q_now)
     q = np.array(trajectory.positions_rad)
     time_s = np.arange(len(q)) * period_s
     assert trajectory.positions_rad[0] == tuple(q_now)
@@ -112,7 +115,7 @@ def test_a_trajectory_starts_where_the_arm_is_and_follows_the_plan_between_its_m
 
 def test_a_plan_that_does_not_move_lets_an_arm_at_its_start_only_dwell() -> None:
     still = make_plan(waypoints_rad=(tuple(LINE[0]),) * 4)
-    trajectory = joint_trajectory(still, ARM, LINE[0].tolist(), 0.05)
+    trajectory = joint_trajectory(still, DrivenArm(ARM, ROBOT, 0.05), LINE[0].tolist())
     assert (trajectory.begin_s, trajectory.end_s) == pytest.approx((module.DWELL_S, module.DWELL_S + 5.0))
 
 
@@ -121,7 +124,7 @@ def test_a_plan_that_does_not_move_lets_an_arm_at_its_start_only_dwell() -> None
 def test_every_joint_comes_to_the_start_in_the_direction_in_which_it_leaves(rng: Generator, period_s: float) -> None:
     plan = make_plan(interpolation=rng.choice(["linear", "cubic"]))
     q_now = (np.array(REST) + rng.uniform(-1.0, 1.0, 6)).tolist()
-    trajectory = joint_trajectory(plan, ARM, q_now, period_s)
+    trajectory = joint_trajectory(plan, DrivenArm(ARM, ROBOT, period_s), q_now)
     q = np.array(trajectory.positions_rad)
     begin = round(trajectory.begin_s / period_s)
     last = q[begin] - q[begin - round((module.DWELL_S + 0.5) / period_s)]
@@ -137,7 +140,7 @@ def test_every_joint_comes_to_the_start_in_the_direction_in_which_it_leaves(rng:
 def test_a_clock_that_adds_up_ticks_finds_the_begin_and_the_end_on_their_ticks(ticks: int, period_s: float) -> None:
     q_now = LINE[0].copy()
     q_now[0] += 0.001 * ticks
-    trajectory = joint_trajectory(make_plan(), ARM, q_now.tolist(), period_s)
+    trajectory = joint_trajectory(make_plan(), DrivenArm(ARM, ROBOT, period_s), q_now.tolist())
     progress_s, seen = 0.0, []
     while progress_s < trajectory.duration_s:
         seen.append(progress_s)
@@ -148,7 +151,7 @@ def test_a_clock_that_adds_up_ticks_finds_the_begin_and_the_end_on_their_ticks(t
 
 def test_the_approach_keeps_slower_joints_and_the_tool_within_their_limits() -> None:
     def approach(arm: ArmConfig) -> FloatArray:
-        trajectory = joint_trajectory(make_plan(), arm, [LINE[0, 0] + 0.3, *LINE[0, 1:]], 0.01)
+        trajectory = joint_trajectory(make_plan(), DrivenArm(arm, ROBOT, 0.01), [LINE[0, 0] + 0.3, *LINE[0, 1:]])
         return np.array(trajectory.positions_rad)[: int(trajectory.begin_s * 100)]
 
     slow = approach(changed(ARM, 0, speed_limit_deg_s=5.0))
@@ -164,24 +167,24 @@ def test_the_approach_keeps_slower_joints_and_the_tool_within_their_limits() -> 
 @pytest.mark.parametrize("q_now", [REST[:5], [*REST[:5], math.nan]])
 def test_unknown_joint_positions_make_no_trajectory(q_now: list[float]) -> None:
     with pytest.raises(ValueError, match="one finite number"):
-        joint_trajectory(make_plan(), ARM, q_now, 0.05)
+        joint_trajectory(make_plan(), DrivenArm(ARM, ROBOT, 0.05), q_now)
     assert "not 6 known joint angles" in the_reason(q_now=q_now)
 
 
 @pytest.mark.parametrize("period_s", [0.0, -0.1, math.nan, math.inf])
 def test_a_period_must_be_positive(period_s: float) -> None:
     with pytest.raises(ValueError, match="period_s"):
-        joint_trajectory(make_plan(), ARM, REST, period_s)
+        joint_trajectory(make_plan(), DrivenArm(ARM, ROBOT, period_s), REST)
 
 
 @pytest.mark.parametrize("interpolation", ["linear", "cubic"])
 def test_a_sound_plan_may_run_from_the_rest_pose(interpolation: str) -> None:
-    assert preflight(make_plan(interpolation=interpolation), ARM, ROBOT, REST) == ()
+    assert preflight(make_plan(interpolation=interpolation), DrivenArm(ARM, ROBOT, 0.1), REST) == ()
 
 
 def test_a_plan_of_another_arm_or_calibration_may_not_run() -> None:
     assert "arm 'other', this is 'ax12-line'" in the_reason(plan=make_plan(arm_id="other"))
-    (reason,) = preflight(make_plan(calibration_hash="0000"), ARM, ROBOT, REST)
+    (reason,) = preflight(make_plan(calibration_hash="0000"), DrivenArm(ARM, ROBOT, 0.1), REST)
     assert "calibration 0000" in reason
 
 
@@ -218,4 +221,4 @@ def test_joint_speed_and_acceleration_name_a_duration_that_suffices(limit: str, 
 
 def test_every_reason_is_told_at_once() -> None:
     arm = changed(changed(ARM, 0, speed_limit_deg_s=15.0), tool_speed_limit_m_s=0.03, floor_m=0.12)
-    assert len(preflight(make_plan(arm_id="other"), arm, ROBOT, LINE[0].tolist())) == 4
+    assert len(preflight(make_plan(arm_id="other"), DrivenArm(arm, ROBOT, 0.1), LINE[0].tolist())) == 4

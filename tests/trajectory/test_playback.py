@@ -14,6 +14,7 @@ from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import most_points
 from armctl.trajectory.playback import Playback, PlayRequest, TaughtMotion, motion_from_text, playback
+from armctl.trajectory.preflight import DrivenArm
 from armctl.trajectory.thinning import thinned
 from tests.genetic import hand
 from tests.host.doubles import refused
@@ -35,15 +36,15 @@ def taught(q: FloatArray | None = None, joints: tuple[str, ...] = NAMES, **more:
     return TaughtMotion(joints=joints, time_s=tuple(TIME_S.tolist()), positions_rad=positions, **more)
 
 
-def played(rate: float = 1.0, motion: TaughtMotion | None = None) -> Playback:
-    return playback(motion or taught(), rate, ARM, ROBOT)
+def played(rate: float = 1.0, motion: TaughtMotion | None = None, period_s: float = 0.1) -> Playback:
+    return playback(motion or taught(), rate, DrivenArm(ARM, ROBOT, period_s))
 
 
 @given(st.floats(0.1, 2.0), st.integers(2, 200))
 @settings(max_examples=30)
 def test_taught_time_passes_evenly_from_rest_to_rest_and_never_back(rate: float, tenths: int) -> None:
     taught_s = np.linspace(0.0, tenths / 10.0, 50)
-    motion = Playback(ARM, ROBOT, rate, taught_s, np.zeros((50, 6)))
+    motion = Playback(DrivenArm(ARM, ROBOT, 0.1), rate, taught_s, np.zeros((50, 6)))
     time_s = np.linspace(0.0, motion.duration_s, 2001)
     gone = motion.taught_at(time_s)
     assert (np.diff(gone) >= -1e-12).all()
@@ -70,8 +71,8 @@ def test_whole_ticks_are_smoothed_and_the_motion_stays() -> None:
 @given(st.floats(0.1, 0.9))
 @settings(max_examples=5, deadline=None)
 def test_the_played_path_is_the_taught_one_at_equal_progress(rate: float) -> None:
-    motion = played(rate)
-    way = motion.trajectory(swinging(np.zeros(1))[0].tolist(), 0.02)
+    motion = played(rate, period_s=0.02)
+    way = motion.trajectory(swinging(np.zeros(1))[0].tolist())
     share = (np.arange(len(way.positions_rad)) * np.float64(0.02) - way.begin_s) / (way.end_s - way.begin_s)
     inside = (share >= 0.0) & (share <= 1.0)
     q = np.array(way.positions_rad)[inside]
@@ -87,28 +88,28 @@ def test_what_is_too_fast_is_refused_with_the_rate_that_would_do() -> None:
     fast = taught(swinging(5.0 * TIME_S))
     here = list(fast.positions_rad[0])
     with refused("PREFLIGHT", r"deg/s, at most .*; rate 0\.\d+ would do") as caught:
-        played(2.0, fast).trajectory(here, 0.1)
+        played(2.0, fast).trajectory(here)
     assert "duration" not in str(caught.value)
     would_do = float(str(caught.value).split("; rate ")[1].split(" would do")[0])
     assert 0.1 <= would_do < 2.0
-    played(would_do, fast).trajectory(here, 0.1)
+    played(would_do, fast).trajectory(here)
     with refused("PREFLIGHT"):
-        played(min(2.0, 1.15 * would_do), fast).trajectory(here, 0.1)
+        played(min(2.0, 1.15 * would_do), fast).trajectory(here)
 
 
 def test_what_leads_below_the_floor_is_refused_as_a_whole() -> None:
     q = swinging(TIME_S)
     q[:, 1] -= np.linspace(0.0, 1.2, 61)
     with refused("PREFLIGHT", "floor"):
-        played(motion=taught(q)).trajectory(q[0].tolist(), 0.1)
+        played(motion=taught(q)).trajectory(q[0].tolist())
 
 
 def test_joints_that_move_no_tool_point_move_as_taught_or_stay() -> None:
     here = swinging(np.zeros(1))[0]
-    whole = np.array(played().trajectory(here.tolist(), 0.1).positions_rad)
+    whole = np.array(played().trajectory(here.tolist()).positions_rad)
     assert np.ptp(whole[:, 5]) > 0.2
     chain = taught(swinging(TIME_S)[:, :5], NAMES[:5])
-    stays = np.array(played(motion=chain).trajectory([*here[:5].tolist(), 0.7], 0.1).positions_rad)
+    stays = np.array(played(motion=chain).trajectory([*here[:5].tolist(), 0.7]).positions_rad)
     np.testing.assert_array_equal(stays[:, 5], 0.7)
     np.testing.assert_allclose(stays[:, 0], whole[:, 0])
 
@@ -185,7 +186,7 @@ def test_a_motion_of_five_minutes_reaches_the_control_step_in_few_enough_points(
     time_s = np.arange(3000) * np.float64(0.1)
     rows = swinging(time_s)
     motion = TaughtMotion(joints=NAMES, time_s=tuple(time_s.tolist()), positions_rad=tuple(map(tuple, rows.tolist())))
-    way = played(motion=motion).trajectory(rows[0].tolist(), 0.1)
+    way = played(motion=motion).trajectory(rows[0].tolist())
     assert len(thinned(way).positions_rad) <= most_points(len(NAMES)) < len(way.positions_rad)
 
 
@@ -199,4 +200,4 @@ def test_what_was_taught_two_ticks_outside_a_limit_is_played_at_the_limit_and_no
         assert (motion.positions_rad[:, 5] == limit_rad).all() == plays
         if plays:
             start = [*swinging(np.zeros(1))[0, :5].tolist(), limit_rad]
-            assert motion.trajectory(start, 0.1).positions_rad[-1][5] == limit_rad
+            assert motion.trajectory(start).positions_rad[-1][5] == limit_rad

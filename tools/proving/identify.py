@@ -39,6 +39,7 @@ from armctl.sim.spec import DEFAULT_SPEC, RANGE_SPEC, put_together
 from armctl.sim.twin import load_twin
 from armctl.trajectory.identification import Trace, identify
 from armctl.trajectory.plan import Plan, plan_positions, plan_through, preflight
+from armctl.trajectory.preflight import DrivenArm
 from proving import reading
 from proving.arms import arm_text
 from proving.hosted_arm import HostedArm
@@ -172,7 +173,7 @@ def held_out(arm: Any, seed: int) -> list[Plan]:
         ends = Reach(reading.read(arm_text(ARM)), robot.chain).tool_m(q[[0, -1]]).tolist()
         asked: dict[str, Any] = {"from_m": tuple(ends[0]), "to_m": tuple(ends[1]), "interpolation": "cubic", "seed": 0}
         plan = plan_through(arm, q, np.array([0.0, 0.5, 1.0]), (0.0, 0.0), duration_s=MOTION_S, **asked)
-        if not preflight(plan, arm, robot, plan.waypoints_rad[0]):
+        if not preflight(plan, DrivenArm(arm, robot, 0.1), plan.waypoints_rad[0]):
             plans.append(plan)
     return plans
 

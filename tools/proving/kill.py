@@ -49,6 +49,7 @@ from armctl.kinematics.transform import FloatArray
 from armctl.lab.demo import started
 from armctl.sim.control import SimulatorClient, control_path
 from armctl.trajectory.plan import Plan, joint_trajectory, preflight
+from armctl.trajectory.preflight import DrivenArm
 from proving.rig import ARM, KernelWatch, OtherWork, hold, installed, waited_s
 
 RUNS = 200
@@ -224,7 +225,7 @@ class _Bench:
             run.violations += [f"found with {fault}" for fault in hold(client, PATIENCE_S)]
             status = client.call("status")
             plan = self._plan()
-            trajectory = joint_trajectory(plan, self.arm, self.goals_rad(), status["period_s"])
+            trajectory = joint_trajectory(plan, DrivenArm(self.arm, self.robot, status["period_s"]), self.goals_rad())
             into_s = self.rng.uniform(trajectory.begin_s, trajectory.end_s)
             mover = _Mover(self.socket, plan)
             _until(client, lambda status: status["state"] == "moving" or mover.ended)
@@ -291,7 +292,7 @@ class _Bench:
             duration_s = 1.0 / self.rng.uniform(0.5, 1.0)
             while duration_s < 8.0:
                 plan = self._plan_to(start, np.clip(target, low, high), duration_s)
-                reasons = preflight(plan, self.arm, self.robot, start)
+                reasons = preflight(plan, DrivenArm(self.arm, self.robot, 0.1), start)
                 if not reasons:
                     return plan
                 if not all("duration of" in reason for reason in reasons):

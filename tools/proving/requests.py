@@ -91,13 +91,14 @@ class Requests:
             predicted_max_error_mm=0.0,
             seed=0,
         )
-        trajectory = joint_trajectory(plan, self._arm, q_now.tolist(), PERIOD_S)
+        on = DrivenArm(self._arm, self._robot, PERIOD_S)
+        trajectory = joint_trajectory(plan, on, q_now.tolist())
         points = tool_position(self._robot.chain, np.array(trajectory.positions_rad)[:, : self._robot.chain.n])
         tool_m_s = float(np.linalg.norm(np.diff(points, axis=0), axis=1).max()) / PERIOD_S
         slower = tool_m_s / (FAST_SHARE * self._arm.tool_speed_limit_m_s)
         if slower > 1.0:  # the host refuses a faster one
             slow_plan = plan.model_copy(update={"duration_s": duration_s * slower})
-            trajectory = joint_trajectory(slow_plan, self._arm, q_now.tolist(), PERIOD_S)
+            trajectory = joint_trajectory(slow_plan, on, q_now.tolist())
         return trajectory
 
     def planned(self, rng: np.random.Generator, q_now: Sequence[float]) -> JointTrajectory:
