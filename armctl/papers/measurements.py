@@ -30,8 +30,8 @@ Measured = tuple[dict[str, float], dict[str, Any]]
 QUARTER = math.pi / 2.0
 
 
-def _named(letter: str, values: FloatArray | Sequence[float], first: int = 1) -> dict[str, float]:
-    return {f"{letter}{number}": float(value) for number, value in enumerate(values, first)}
+def _named(letter: str, values: FloatArray | Sequence[float]) -> dict[str, float]:
+    return {f"{letter}{number}": float(value) for number, value in enumerate(values, 1)}
 
 
 def _pose(T: FloatArray, names: Sequence[str] = NAMES) -> dict[str, float]:

@@ -109,7 +109,8 @@ class Files:
         self._wall_ns: WallClock = lambda: wall_ns() % STAMPS_NS
         self._open: dict[str, LogWriter] = {}
         self._history = History(context.config.log.snapshot_s, context.period_s)
-        self._last: TickRecord | None = None
+        # Those of the latest tick: code, and since when.
+        self._faults: set[tuple[str, int]] = set()
         # What went over the wire lately and is in no file.
         self._wire: deque[tuple[int, bool, bytes]] = deque(maxlen=MAX_WIRE)
         self._previous = ""
@@ -155,10 +156,9 @@ class Files:
         self._ensure_log()
         self._write(lambda writer: writer.write_tick(record))
         self._history.add(record)
-        before = set() if self._last is None else {(fault.code, fault.since_ns) for fault in self._last.outputs.faults}
-        self._last = record
-        time_ns = record.inputs.sample.time_ns
-        new = [fault.code for fault in record.outputs.faults if (fault.code, fault.since_ns) not in before]
+        time_ns, faults = record.inputs.sample.time_ns, record.outputs.faults
+        new = [fault.code for fault in faults if (fault.code, fault.since_ns) not in self._faults]
+        self._faults = {(fault.code, fault.since_ns) for fault in faults}
         if new:
             self._keep_snapshot(new[0], time_ns)
         elif SNAPSHOT in self._open and time_ns >= self._snapshot_end_ns:
