@@ -32,6 +32,7 @@ from armctl.kinematics import robots
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
 from armctl.lab import rehearsal
+from armctl.lab.stage import Progress
 from armctl.recording import channels
 from armctl.recording.log_file import LogFile
 from armctl.recording.replay import log_setup
@@ -192,9 +193,7 @@ def _wanted(on: Driven, base: FloatArray, joints: Sequence[int]) -> Iterator[tup
             yield j, 0.0, partial(sweep, j, LEGS, j)
 
 
-def moved(
-    client: Client, arm: ArmConfig, joints: Sequence[int], tell: Callable[[float, str], None], *, quick: bool
-) -> list[Trace]:
+def moved(client: Client, arm: ArmConfig, joints: Sequence[int], tell: Progress, *, quick: bool) -> list[Trace]:
     """Have the daemon's arm do the motions, and go back to where it was; what its recordings hold.
 
     Args:

@@ -1,6 +1,6 @@
 """001: the improved genetic algorithm on the PUMA 560: Table 2, the iteration curve (Fig. 1), the arms (Figs. 2, 3)."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from itertools import product
@@ -64,7 +64,7 @@ def table_2_errors(xyz_rpy: Sequence[float]) -> tuple[float, float]:
     return float(np.linalg.norm(T[:3, 3] - WANTED[:3, 3])), float(np.linalg.norm(turn))
 
 
-def solved_by_polish(robot: Robot, T: FloatArray, seed: int, show: Callable[[float, str], None]) -> Errors:
+def solved_by_polish(robot: Robot, T: FloatArray, seed: int, show: Progress) -> Errors:
     """The improved algorithm with polish on poses, shape (m, 4, 4); a pose that is missed gets another seed."""
     best = np.empty((len(T), robot.chain.n))
     missed = np.full(len(T), np.inf)

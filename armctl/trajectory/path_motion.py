@@ -97,9 +97,7 @@ def path_motion(request: PathRequest, q_now: Sequence[float], on: Driven) -> Pat
     raise RequestRefused("PREFLIGHT", refused)
 
 
-def joint_ways(
-    outline: Outline, q_now: Sequence[float], on: Driven, farther_rad: float = FARTHER_RAD
-) -> Iterator[FloatArray]:
+def joint_ways(outline: Outline, q_now: Sequence[float], on: Driven, farther_rad: float) -> Iterator[FloatArray]:
     """Ways of the joints along the path, at most `TRIED_WAYS`, the most promising first.
 
     Yields:

@@ -203,7 +203,7 @@ def playback(motion: TaughtMotion, rate: float, on: Driven) -> Playback:
     even_s = np.linspace(0.0, time_s[-1], math.ceil(time_s[-1] / min(SAMPLE_S, float(np.median(np.diff(time_s))))) + 1)
     rows_s = np.linspace(0.0, time_s[-1], math.ceil(time_s[-1] / ROW_S) + 1)
     samples = columns_at(even_s, time_s, np.array(motion.positions_rad))
-    smooth, _, _ = local_cubics(even_s, samples, rows_s, HALF_WIDTH_S)
+    smooth = local_cubics(even_s, samples, rows_s, HALF_WIDTH_S)[0]
     positions = np.full((len(rows_s), len(arm.joints)), np.nan)
     positions[:, [arm.joint_names.index(name) for name in motion.joints]] = smooth
     inside = np.clip(positions, *np.array([joint.limits_rad for joint in arm.joints]).T)

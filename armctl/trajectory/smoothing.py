@@ -12,10 +12,8 @@ from armctl.kinematics.transform import FloatArray
 DEGREE = 3
 
 
-def local_cubics(
-    time_s: FloatArray, values: FloatArray, at_s: FloatArray, half_width_s: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Value, first and second derivative of samples at instants, each of shape (k, n).
+def local_cubics(time_s: FloatArray, values: FloatArray, at_s: FloatArray, half_width_s: float) -> FloatArray:
+    """Value, first and second derivative of samples at instants, shape (3, k, n).
 
     Args:
         time_s: When the samples were taken, shape (m,), increasing.
@@ -37,4 +35,4 @@ def local_cubics(
         powers = away[near][:, None] ** np.arange(DEGREE + 1)
         coefficients = np.linalg.lstsq(powers * weights[:, None], values[near] * weights[:, None])[0]
         found[:, index] = coefficients[:3] / units
-    return found[0], found[1], found[2]
+    return found
