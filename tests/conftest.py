@@ -14,9 +14,11 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
-# How long an example takes is no claim of any test: machines are slow at times.
-settings.register_profile("any time", deadline=None)
-settings.load_profile("any time")
+# How long an example takes is no claim of any test: machines are slow at times. Every run has the same examples, so
+# that none lands or fails by luck; `tools/test --hypothesis-profile=anew` looks for others.
+settings.register_profile("the same", deadline=None, derandomize=True)
+settings.register_profile("anew", deadline=None)
+settings.load_profile("the same")
 
 PROCESSORS = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
 
