@@ -195,13 +195,22 @@ def test_the_world_may_be_a_step_ahead_of_the_clock(moving: Bench, ahead_s: floa
 
 
 @pytest.mark.parametrize(
-    ("again", "also", "broken"), [(True, "", set()), (False, "", {"yields"}), (False, "NOT_LIMP", set())]
+    ("again", "also", "latency_s", "broken"),
+    [
+        (True, "", 0.0, set()),
+        (False, "", 0.0, {"yields"}),
+        (False, "NOT_LIMP", 0.0, set()),
+        (False, "", 1.5, set()),
+        (False, "", 0.3, {"yields"}),
+    ],
 )
-def test_a_foreign_goal_does_not_stay_but_on_a_limp_arm(
-    moving: Bench, again: bool, also: str, broken: set[str]
+def test_a_foreign_goal_does_not_stay_but_on_a_limp_arm_or_unheard(
+    moving: Bench, again: bool, also: str, latency_s: float, broken: set[str]
 ) -> None:
     moving.goal(MIDDLE + 5)
     moving.goal(MIDDLE + 5)
+    if latency_s:
+        moving.plan("latency", latency_s, None, value=16.0)
     moving.plan("second_writer", 0.2)
     moving.tick(Mode.MOVING)
     moving.servos[0].goal = MIDDLE + 30

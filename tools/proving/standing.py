@@ -286,7 +286,8 @@ class StandingJudge(ShaftJudge):
         self._watch_torque(now_s, servos)
         self._watch_silence(now_s)
         gone = not self._duties.writer_in_force(now_s, WRITER_GONE_S) and not self._duties.may_be_forged(now_s)
-        gone &= now_s - self._late_s > WRITER_GONE_S
+        # Through an adapter that holds replies back a tick hears two servos; that another is led off, it cannot know.
+        gone &= now_s - self._late_s > WRITER_GONE_S and not self._duties.lately(now_s, {"latency"}, WRITER_GONE_S)
         # To one that went on, which is told as OVERRULED, the arm is left; and what is to be limp has no goal.
         elsewhere = self._codes & {"PORT_GONE", "BUS_DEAD", "SERVO_SILENT", "OVERRULED", "NOT_LIMP"}
         if "OTHER_WRITER" in self._codes and gone and not elsewhere:
