@@ -60,6 +60,21 @@ def test_an_arm_comes_to_stand_within_the_bounds_and_stays() -> None:
         assert -1.0 < one["settled_s"] <= place.LATER_S
 
 
+@pytest.mark.parametrize("plain_too", [True, False])
+def test_a_fault_counts_unless_the_same_arm_latches_one_without_correction(
+    plain_too: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    heavy = replace(ROWS["no model"], spec=replace(ROWS["no model"].spec, tool_kg=(0.4, 0.4)))
+    monkeypatch.setitem(place.ROWS, "no model", heavy)
+    if not plain_too:
+        monkeypatch.setattr(place, "_is_too_weak", lambda *_: False)
+    found: dict[str, Any] = {"refused": [], "broken": []}
+    model = nominal(ServedArm(ARM).arm, ServedArm(ARM).robot.chain)
+    place._stops(Trial(ARM, 2, FEW), FEW[0], model, found)
+    assert (found.get("too_weak", 0) > 0) == plain_too
+    assert bool(found["broken"]) != plain_too
+
+
 def test_a_place_without_correction_is_seen() -> None:
     done, _ = stops(correction=False)
     assert min(one["later_mm"] for one in done) > 5.0
