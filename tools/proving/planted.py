@@ -103,7 +103,8 @@ MUTANTS: tuple[Mutant, ...] = (
         "(__r, __s, __t, __u, (ax12a.PUNCH, __punch), (ax12a.TORQUE_LIMIT, SOFT_TORQUE))",
         "(__r, __s, __t, __u, (ax12a.PUNCH, __punch))")),
     _m("torque-on at a goal of its own", CONTROL,
-       ("__ticks.append(__servo.within_limits(__position))", "__ticks.append(__servo.within_limits(__position) + 9)"),
+       ("(__state.request_id, __state.anchor) = (__request_id, tuple(__ticks))",
+        "(__state.request_id, __state.anchor) = (__request_id, tuple([tick + 9 for tick in __ticks]))"),
        ("__s.limp_shaft(__index, __state.anchor[__index])",
         "__s.limp_shaft(__index, __state.anchor[__index] - 9)._replace(tick=__state.anchor[__index])")),
     _m("an EEPROM write in service", CONTROL, (
