@@ -56,6 +56,18 @@ def test_a_sag_that_is_over_soon_after_it_could_be_seen_has_not_lasted(
     assert holding.broken & {"rows"} == broken
 
 
+@pytest.mark.parametrize(("told", "broken"), [("VOLTAGE", set()), ("", {"rows"})])
+def test_a_sag_that_had_not_lasted_before_a_silence_is_told_when_a_servo_is_heard_again(
+    holding: Bench, told: str, broken: set[str]
+) -> None:
+    sag = Fault(kind="brown_out", servo_id=None, begin_s=holding.now_s, duration_s=4.4, value=7.5, probability=0.0)
+    holding.judge.plan(sag)
+    holding.ticks(5, Mode.HOLDING)
+    holding.ticks(4, Mode.HOLDING, heard=False)
+    holding.ticks(2, Mode.FAULTED if told else Mode.HOLDING, told)
+    assert holding.broken & {"rows"} == broken
+
+
 @pytest.mark.parametrize(
     ("silent", "kind", "broken"), [(1, "mute", set()), (2, "mute", {"rows"}), (None, "dead_bus", set())]
 )

@@ -78,8 +78,9 @@ class Duties:
 
     def __init__(self, arm: Arm, period_s: float) -> None:
         self._arm, self._servo_ids, self._period_s = arm, arm.servo_ids, period_s
-        # When each servo was last heard.
+        # When each servo was last heard, and when by the tick before: what is heard in a tick, nobody has told yet.
         self.heard_s = [-math.inf] * len(arm.servos)
+        self._heard_before_s = list(self.heard_s)
         self._duties: list[Duty] = []
         # Begin and end of every fault not begun yet.
         self._planned: list[tuple[float, float, Fault]] = []
@@ -256,6 +257,7 @@ class Duties:
         ]
         due = [one for one in self._expected if one.by_s < now_s and self._could_tell(now_s, one)]
         self._expected = [one for one in self._expected if one not in due]
+        self._heard_before_s = list(self.heard_s)
         return [(one.what, one.by_name) for one in due]
 
     def _is_woken(self, now_s: float, one: Expected) -> bool:
@@ -267,7 +269,7 @@ class Duties:
         since_s = one.by_s - REPORT_SLACK_S - self._period_s - HEARD_S
         # What comes beside other bytes, or behind late ones, is rightly not believed.
         strays = self.lately(now_s, STRAYS, 0.0)
-        return not one.servos or (not strays and any(self.heard_s[i] > since_s for i in one.servos))
+        return not one.servos or (not strays and any(self._heard_before_s[i] > since_s for i in one.servos))
 
     def excused(self, now_s: float, i: int | None = None) -> bool:
         """Whether a fault, or a hand, may be what moves a joint; None: whichever, for it shakes the others."""
