@@ -90,23 +90,26 @@ for _tag, _regexp, _first in (
     _StrictLoader.add_implicit_resolver(_tag, re.compile(_regexp), _first)
 
 
-def parse_json(text: str, file: str) -> Any:
+def keys_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """An object of JSON; ValueError: a key stands twice in it."""
+    result: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in result:
+            raise ValueError(f"key {key[:60]!r} stands twice")
+        result[key] = value
+    return result
+
+
+def parse_json(text: str, file: str, remedy: str = "") -> Any:
     """What a JSON text says.
 
     Raises:
         ConfigError: not JSON, or a key stands twice.
     """
-
-    def mapping(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        keys = [key for key, _ in pairs]
-        if twice := [key for key in keys if keys.count(key) > 1]:
-            raise ConfigError(file, twice[0], "the key stands twice")
-        return dict(pairs)
-
     try:
-        return json.loads(text, object_pairs_hook=mapping)
+        return json.loads(text, object_pairs_hook=keys_once)
     except (ValueError, RecursionError) as error:
-        raise ConfigError(file, "", f"not JSON: {error}") from None
+        raise ConfigError(file, "", f"not JSON: {error}", remedy) from None
 
 
 # The place of a row, and its cells by column.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from armctl.cli.output import CONFIG, HOLDS, SOCKET, Output, command
-from armctl.cli.tables import show_rows
+from armctl.cli.tables import below, show_rows
 from armctl.errors import ConfigError
 from armctl.files import find_arm_file, load_arm, read_text
 
@@ -126,9 +126,7 @@ def _compare(output: Output, log: Path, report: Path | None) -> None:
     rows = found.rows()
     if not output.result({"compared": rows, **figures, "spec": str(spec)}):
         show_rows(output.console, "compared", "The twin beside the log", rows)
-        output.say(
-            "tool {tool_mean_mm:.2f} mm from the twin's in the mean, {tool_max_mm:.2f} at most".format(**figures)
-        )
+        output.say(below("compared", figures))
 
 
 def _show(output: Output, result: dict[str, Any]) -> None:

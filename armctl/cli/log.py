@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from armctl.cli.output import CONFIG, Output, command
-from armctl.cli.tables import show_rows, show_table
+from armctl.cli.tables import show_rows
 from armctl.files import logs_dir
 
 if TYPE_CHECKING:
@@ -154,8 +154,8 @@ def info(output: Output, log: Path) -> None:
 
 
 def show_topics(output: Output, topics: Mapping[str, int]) -> None:
-    rows = [(topic, str(count)) for topic, count in sorted(topics.items())]
-    show_table(output.console, "", ("topic", "messages"), rows, words=("topic",))
+    rows = [{"topic": topic, "messages": count} for topic, count in sorted(topics.items())]
+    show_rows(output.console, "topics", "", rows)
 
 
 @command("recover", group=log_command)

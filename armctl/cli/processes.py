@@ -13,6 +13,7 @@ import click
 
 from armctl.cli.output import ARM, CONFIG, JSON, LINK, PORT, SOCKET, Output, Point, command, kept_option
 from armctl.cli.parameters import parameters
+from armctl.cli.tables import show_rows
 from armctl.errors import ConfigError
 from armctl.files import load_arm, read_text, socket_path, tokens_path
 
@@ -61,17 +62,7 @@ def daemon_command(output: Output, log_dir: Path | None, wait: bool) -> int:
 
 
 @command("sim")
-def sim_command(
-    output: Output,
-    arm: str,
-    link: Path | None,
-    echo: bool,
-    faults_file: Path | None,
-    return_delay_us: int | None,
-    factory: bool,
-    spec_file: Path | None,
-    **told: Any,
-) -> int:
+def sim_command(output: Output, arm: str, link: Path | None, echo: bool, factory: bool, **told: Any) -> int:
     """Simulate an arm: servos that answer the real protocol bytes on a pseudo terminal.
 
     Prints `ready PATH`; any program that drives AX-12A servos can open PATH. What can go wrong, and how FILE says so:
@@ -86,6 +77,9 @@ def sim_command(
     from armctl.sim.spec import DEFAULT_SPEC, put_together
     from armctl.sim.twin import load_twin
 
+    faults_file, return_delay_us, spec_file = (
+        told.pop(name) for name in ("faults_file", "return_delay_us", "spec_file")
+    )
     played = load_arm(arm)
     faults: tuple[Fault, ...] = (Fault(kind="echo"),) if echo else ()
     if faults_file is not None:
@@ -170,13 +164,7 @@ def fault_list_command(output: Output) -> None:
     """
     with _simulator(output) as simulator:
         faults = simulator.faults()
-    if output.result({"faults": faults}):
-        return
-    for fault in faults:
-        until = "until ended" if fault["end_s"] is None else f"to {fault['end_s']:.1f} s"
-        servo = "" if fault["servo_id"] is None else f" servo {fault['servo_id']}"
-        state = "now" if fault["active"] else "planned"
-        click.echo(f"{fault['id']:3d} {fault['kind']}{servo}: {state}, from {fault['begin_s']:.1f} s {until}")
+    output.answer({"faults": faults}, lambda: show_rows(output.console, "faults", "", faults))
 
 
 def _simulator(output: Output) -> SimulatorClient:

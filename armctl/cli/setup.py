@@ -190,11 +190,9 @@ def scan_command(output: Output, baud: str | None) -> int:
 
 
 def show_servos(output: Output, found: Sequence[FoundServo]) -> None:
-    show_rows(output.console, "servos", "", [{**servo._asdict(), "trouble": _trouble(servo)} for servo in found])
-
-
-def _trouble(servo: FoundServo) -> str:
-    return "; ".join(["answers no READ"] * (servo.model is None) + ["two servos have this id"] * servo.clash)
+    troubles = [["answers no READ"] * (one.model is None) + ["two servos have this id"] * one.clash for one in found]
+    rows = [one._asdict() | {"trouble": "; ".join(of)} for one, of in zip(found, troubles, strict=True)]
+    show_rows(output.console, "servos", "", rows)
 
 
 # --------------------------------------------------------------------------------------------------------- doctor

@@ -23,7 +23,7 @@ from pathlib import Path
 from armctl import __version__
 from armctl.config import Config
 from armctl.errors import ArmctlError
-from armctl.files import data_dir, find_arm_file
+from armctl.files import data_dir, find_arm_file, read_text
 
 # The newest logs, as many as fit into so much.
 LOG_BYTES = 20 * 2**20
@@ -84,8 +84,8 @@ def versions() -> str:
 
 def _read_calibration(arm: str) -> str:
     try:
-        return find_arm_file(arm).read_text(encoding="utf-8")
-    except (ArmctlError, OSError, UnicodeDecodeError) as error:
+        return read_text(find_arm_file(arm), "calibration")
+    except ArmctlError as error:
         return f"# cannot be read: {error}\n"
 
 

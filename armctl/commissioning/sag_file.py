@@ -19,6 +19,7 @@ from armctl.config import ArmConfig, Config, Frozen, Name, validate
 from armctl.errors import ConfigError
 from armctl.files import data_dir, find_arm_file, read_text, shipped_dirs
 from armctl.messages import LagModel
+from armctl.strict_yaml import parse_json
 from armctl.trajectory.lag import Summary
 from armctl.trajectory.learning import KEPT, Experience, Lesson
 
@@ -74,11 +75,7 @@ def load(config: Config, arm: ArmConfig) -> LagModel | None:
     """
     if not (path := path_of(config)).exists():
         return None
-    try:
-        data = json.loads(read_text(path, "sag model"))
-    except ValueError as error:
-        raise ConfigError(str(path), "", f"not JSON: {error}", "identify it again") from None
-    found = validate(SagFile, data, str(path))
+    found = validate(SagFile, parse_json(read_text(path, "sag model"), str(path), "identify it again"), str(path))
     if (found.arm_id, found.calibration_hash) != (arm.arm_id, arm.calibration_hash):
         text = "%s: of calibration %s, the arm has %s; not used"
         _log.warning(text, path, found.calibration_hash, arm.calibration_hash)
@@ -172,8 +169,8 @@ def load_history(config: Config, arm: ArmConfig, joints: int) -> History:
         return none
     width = (joints + 3) * (joints + 4) // 2 + joints + 5
     try:
-        found = validate(History, json.loads(read_text(path, "sag history")), str(path))
-    except (ValueError, ConfigError) as error:
+        found = validate(History, parse_json(read_text(path, "sag history"), str(path)), str(path))
+    except ConfigError as error:
         _log.warning("%s: not read, begun anew: %s", path, error)
         return none
     fits = all(len(motion) == joints and {len(row) for row in motion} == {width} for motion in found.motions)

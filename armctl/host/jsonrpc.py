@@ -16,6 +16,7 @@ from typing import Any, NamedTuple, NoReturn
 
 from armctl.config import NAME_PATTERN
 from armctl.errors import ArmctlError, BusError, ConfigError, LogError, NoDaemon, RequestRefused, UnreachableTarget
+from armctl.strict_yaml import keys_once
 
 MAX_LINE_BYTES = 65536
 MAX_DEPTH = 16
@@ -96,7 +97,7 @@ def strict_json(line: bytes) -> object:
         raise ProtocolError(PARSE_ERROR, f"the line is {len(line)} bytes long; {MAX_LINE_BYTES} are allowed")
     try:
         message = json.loads(
-            line.decode("utf-8"), object_pairs_hook=_object_once, parse_float=_finite, parse_constant=_no_nan
+            line.decode("utf-8"), object_pairs_hook=keys_once, parse_float=_finite, parse_constant=_no_nan
         )
     except (ValueError, RecursionError) as error:
         text = "nested too deeply" if isinstance(error, RecursionError) else str(error)
@@ -109,15 +110,6 @@ def strict_json(line: bytes) -> object:
         except UnicodeEncodeError:
             raise ProtocolError(PARSE_ERROR, "not strict JSON: half of a surrogate pair in a text") from None
     return message
-
-
-def _object_once(pairs: list[tuple[str, object]]) -> dict[str, object]:
-    result: dict[str, object] = {}
-    for key, value in pairs:
-        if key in result:
-            raise ValueError(f"key {key[:60]!r} stands twice")
-        result[key] = value
-    return result
 
 
 def _finite(text: str) -> float:

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from armctl.kinematics.transform import FloatArray
 from armctl.recording.disk import writing
+from armctl.recording.recordings import drawn as evenly
 from armctl.report.line import ExperimentReport, LineRun, along_and_off
 from armctl.trajectory.straightness import errors_mm
 
@@ -60,16 +60,12 @@ def _told(report: ExperimentReport, when: str, run: LineRun) -> str:
     return f"{when}: {mean_mm:.1f} mm off the line on average, {max_mm:.1f} mm at most{judge}"
 
 
-def _thinned(points: FloatArray) -> FloatArray:
-    """At most `POINTS` of them, both ends included."""
-    return np.asarray(points[np.unique(np.linspace(0, len(points) - 1, POINTS).astype(int))])
-
-
 def _view(
     report: ExperimentReport, named: Sequence[tuple[str, LineRun]], axis: int, view: str, top: float
 ) -> tuple[list[str], float]:
     """Paths seen along one direction, and the height that takes."""
-    paths = [(kind, along_and_off(_thinned(run.real_tool_m), *report.ends)) for kind, run in named]
+    real = ((kind, run.real_tool_m) for kind, run in named)
+    paths = [(kind, along_and_off(tool_m[evenly(len(tool_m), POINTS)], *report.ends)) for kind, tool_m in real]
     length = float(np.linalg.norm(np.subtract(*report.ends))) * 1000.0
     along = np.concatenate([[0.0, length], *(seen[0] for _, seen in paths)])
     off = np.concatenate([[-LEAST_HALF_HEIGHT_MM, LEAST_HALF_HEIGHT_MM], *(seen[axis] for _, seen in paths)])

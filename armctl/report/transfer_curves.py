@@ -28,14 +28,7 @@ from armctl.trajectory.transfer import NOTED, TransferRequest, motion
 # Eleven samples at 0.1 s.
 HALF_WIDTH_S = 0.55
 POINTS = 600
-# Figure of the paper, what it shows of the paw's midpoint, the field of `Curves`, its unit.
-QUANTITIES = (
-    ("Fig. 3", "displacement", "tool_position_m", "m"),
-    ("Fig. 4", "velocity", "tool_velocity_m_s", "m/s"),
-    ("Fig. 5", "acceleration", "tool_acceleration_m_s2", "m/s^2"),
-    ("Fig. 6", "angular velocity", "tool_angular_velocity_rad_s", "rad/s"),
-    ("Fig. 7", "angular acceleration", "tool_angular_acceleration_rad_s2", "rad/s^2"),
-)
+QUANTITIES: list[list[str]] = TEXTS["transfer"]["quantities"]
 TITLES = {f"{number}: {what} of the paw's midpoint": (what, field, unit) for number, what, field, unit in QUANTITIES}
 
 

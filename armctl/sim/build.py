@@ -9,6 +9,7 @@ import numpy as np
 from armctl.config import ArmConfig, JointConfig, Servo
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.servos import DEFAULT, MODELS, ServoModel
+from armctl.json_text import named
 from armctl.kinematics import robots
 from armctl.kinematics.chain import SerialChain
 from armctl.sim.geometry import PERFECT, Draws
@@ -68,14 +69,12 @@ def _become(joint: Joint, twin: TwinJoint, config: JointConfig) -> None:
     """Be as another arm's joint was found; what was not found stays as it was drawn."""
     servo, slope_tick = joint.servo, ax12a.compliance_slope(config.compliance.slope)
     drawn = {
-        "coulomb_Nm": joint.coulomb_Nm,
+        **named(joint, "coulomb_Nm", "stall_Nm", "load_friction"),
         "stiction_ratio": joint.stiction_Nm / joint.coulomb_Nm,
         "slope_tick": servo.slope_share * slope_tick,
         "play_deg": math.degrees(2.0 * joint.half_play_rad),
         "delay_ms": 1e3 * joint.dead_steps * STEP_S,
-        "stall_Nm": joint.stall_Nm,
         "no_load_rad_s": joint.spec.no_load_speed_rad_s,
-        "load_friction": joint.load_friction,
         "noise_tick": servo.noise_tick,
     }
     now = drawn | twin.model_dump(exclude_none=True)

@@ -111,6 +111,8 @@ _SIZES: TypeAdapter[dict[str, Any]] = TypeAdapter(dict[str, bool | float | tuple
 _PUBLISHED = _SIZES.validate_python(_TOLD["published"])
 # How a servo's age changes an arm: `new` is the arm as it was given.
 AGES: dict[str, dict[str, Any]] = {"new": {}, "worn": _PUBLISHED | _SIZES.validate_python(_TOLD["worn"])}
+# What switches one effect of the simulator off.
+EFFECTS: dict[str, dict[str, Any]] = {name: _SIZES.validate_python(off) for name, off in _TOLD["effects"].items()}
 # New servos with all that is published of them: with "worn" ones, the range that identification has to stand.
 RANGE_SPEC = replace(RANDOM_SPEC, **_PUBLISHED)
 

@@ -1,6 +1,5 @@
 """The twin of an arm that was identified: the file that `armctl identify` writes and the simulator plays."""
 
-import json
 from pathlib import Path
 from typing import Annotated
 
@@ -9,6 +8,7 @@ from pydantic import Field
 from armctl.config import ArmConfig, Frozen, Name, validate
 from armctl.errors import ConfigError
 from armctl.files import read_text
+from armctl.strict_yaml import parse_json
 
 Figure = Annotated[float | None, Field(gt=0.0)]
 Share = Annotated[float | None, Field(ge=0.0)]
@@ -46,10 +46,7 @@ def load_twin(path: Path, arm: ArmConfig) -> Twin:
     Raises:
         ConfigError: it is none, or of another arm.
     """
-    try:
-        found = validate(Twin, json.loads(read_text(path, "spec")), str(path))
-    except ValueError as error:
-        raise ConfigError(str(path), "", f"not JSON: {error}", "identify the arm again") from None
+    found = validate(Twin, parse_json(read_text(path, "spec"), str(path), "identify the arm again"), str(path))
     if (found.arm_id, *found.joints) != (arm.arm_id, *arm.joint_names):
         problem = f"of arm {found.arm_id} with joints {', '.join(found.joints)}"
         raise ConfigError(str(path), "", problem, f"name the spec of {arm.arm_id}, or identify it")

@@ -8,7 +8,6 @@ cause on perfect servos.
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -22,6 +21,7 @@ from armctl.lab.study.case import Case, Found, Row, all_rows
 from armctl.lab.study.workers import Workers
 from armctl.report import experiment as page
 from armctl.report.line import ExperimentReport
+from armctl.sim.spec import EFFECTS as EFFECTS
 from armctl.trajectory.course import Line, sent_rad, ticks_of
 from armctl.trajectory.interpolate import columns_at, time_law
 from armctl.trajectory.line_path import onto
@@ -29,14 +29,6 @@ from armctl.trajectory.plan import plan_positions
 from armctl.trajectory.refinement import Round
 from armctl.trajectory.straightness import errors_mm
 
-# What of the simulated arm's specification switches one effect off.
-EFFECTS: dict[str, dict[str, Any]] = {
-    "sag": {"servo_kg": 0.0, "bracket_kg": 0.0, "tool_kg": (0.0, 0.0)},
-    "friction": {"friction_Nm": (0.0, 0.0)},
-    "backlash": {"play_deg": (0.0, 0.0)},
-    "noise": {"noise_tick": 0.0},
-    "offset": {"zero_offset_within_tick": 0.0},
-}
 TIMING_SHARE = 0.2
 # Durations of the fronts on the page, over the one asked for.
 FRONT_SHARES = (0.5, 0.7, 1.0, 1.6, 2.4)

@@ -16,6 +16,7 @@ from armctl.kinematics.transform import FloatArray
 from armctl.lab.study import arms
 from armctl.lab.study.case import Case, Found, Row
 from armctl.lab.study.workers import Workers
+from armctl.report.pareto import error_mm
 
 
 def every_duration(case: Case, *, durations: Sequence[float], arms: int) -> list[Case]:
@@ -62,13 +63,6 @@ def with_truth(rows: Sequence[Row], ran: Sequence[Row]) -> list[Row]:
             truth = {"mean_error_mm": float(np.mean(truths)), "spread_mm": float(np.std(truths)), "arms": len(truths)}
         result.append({**row, "truth": truth, "refused": refused})
     return result
-
-
-def error_mm(row: Row) -> float:
-    """The error a row is judged by: the true one if arms ran it, else the predicted one; infinite if nothing ran."""
-    if "truth" in row:
-        return np.inf if row["truth"] is None else float(row["truth"]["mean_error_mm"])
-    return float(row["predicted_mean_error_mm"]) if row["feasible"] else np.inf
 
 
 def with_fronts(rows: Sequence[Row]) -> list[Row]:
