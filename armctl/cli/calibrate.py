@@ -6,7 +6,6 @@ The points are touched with a limp arm, without the daemon; `--holding` and `--s
 from __future__ import annotations
 
 from contextlib import ExitStack
-from dataclasses import asdict
 from datetime import date, datetime
 from functools import partial
 from itertools import islice
@@ -18,15 +17,13 @@ import click
 from armctl.cli.motion import by_keys
 from armctl.cli.output import ARM, BAUD, CONFIG, PORT, SOCKET, Output, command, millimetres
 from armctl.cli.setup import AtTerminal, opened
-from armctl.cli.tables import show_rows, show_table
+from armctl.cli.tables import below, show_rows
 from armctl.errors import RequestRefused
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from armctl.client import Client
-    from armctl.commissioning.calibration import Fit, Readings
-    from armctl.commissioning.holding import Held
+    from armctl.commissioning.calibration import Readings
+    from armctl.commissioning.holding import Way
     from armctl.config import ArmConfig
 
 # How high above a point the arm is moved before it is led, and how fast at first.
@@ -34,19 +31,12 @@ ABOVE_M, LED_M_S = 0.03, 0.01
 # How many ticks it is looked at where it stands.
 LOOKS = 20
 ASKED = ("armctl calibrate", "or give --readings FILE")
+# Keys at each point, and what they are for.
+KEYS = "s: skip this point; b: take the last touch back"
 
 
 @command("calibrate", ARM, PORT, BAUD, CONFIG, SOCKET)
-def calibrate_command(
-    output: Output,
-    points: Path | None,
-    touches: int,
-    readings: Path | None,
-    save_readings: Path | None,
-    way: tuple[str, ...],
-    zero_at: str | None,
-    out: Path | None,
-) -> None:
+def calibrate_command(output: Output, points: Path | None, touches: int, way: tuple[str, ...], **asked: Any) -> None:
     """Find zero ticks and link lengths: touch known points with the limp arm's tool tip.
 
     Fix a sheet with known points to the table, its x axis ahead of the base, and touch every point in different
@@ -58,7 +48,7 @@ def calibrate_command(
     With --holding the arm stands by itself, as it does at work: the daemon moves it above each point, you lead the tip
     near it by keys and press it onto it with a finger. Twists of its axes, waves of its sensors and what its weight
     bends are found as well. Each point is left out of the fit in turn: that shows how good the result is. An arm that
-    would be no better stays as it was.
+    would be no better stays as it was. The point and the posture that tell most come next, so you may stop early.
 
     --sag: a running daemon moves the arm along eight lines. What gravity and friction do to each joint is kept beside
     the calibration, as NAME.sag.json. --pairs, for joints that two servos turn: both are read while you lead the limp
@@ -69,6 +59,7 @@ def calibrate_command(
     from armctl.commissioning import arm_file, calibration, pairs
     from armctl.commissioning import holding as under_torque
 
+    readings, zero_at, out, save_readings = (asked[key] for key in ("readings", "zero_at", "out", "save_readings"))
     _refuse_several((points, readings, zero_at), way, (out, save_readings))
     holding = way == ("holding",)
     if way in (("sag",), ("undo",)):
@@ -79,10 +70,8 @@ def calibrate_command(
     before = output.arm
     name = output.arm_name or output.config.arm
     path = out or arm_file.active_path(name)
-    if taken := [new for new in (out, save_readings) if new is not None and new.exists()]:
-        raise RequestRefused("FILE_EXISTS", f"{taken[0]}: exists and is not overwritten; choose another name")
-    more: dict[str, Any] = {}
-    show: Callable[[], None] | None = None
+    arm_file.refuse_taken(out, save_readings)
+    more, table = dict[str, Any](), "holding" if holding else "limp"
     if way == ("pairs",):
         after = pairs.measured(before, partial(opened, output), AtTerminal(output, *ASKED))
         remark = "what the two servos of a joint read at the same places"
@@ -97,24 +86,16 @@ def calibrate_command(
             session = calibration.load_readings(readings or Path(), before)
         if save_readings is not None:
             arm_file.write(save_readings, calibration.readings_text(session))
-        if holding:
-            held = under_torque.fit(before, session.touches)
-            after, more, show = held.arm, held._asdict(), partial(show_held, output, held)
-            found = f"{held.before_mm:.2f} mm off before, {held.held_out_mm:.2f} mm on points left out"
-        else:
-            fit = calibration.fit(before, session.touches)
-            more = asdict(fit) | {"residuals_mm": fit.residuals_mm.tolist(), "complete": fit.complete}
-            after, show = fit.arm, partial(show_fit, output, fit)
-            found = f"{fit.rms_before_mm:.2f} mm off before, {fit.rms_mm:.2f} mm after"
-        remark = f"{len(session.touches)} touches, {found}"
+        more = (under_torque if holding else calibration).fit(before, session.touches)._asdict()
+        after = more.pop("arm")
+        remark = f"{len(session.touches)} touches, {below(table, more)}"
     text = calibration.calibration_text(after, [f"Calibrated {date.today().isoformat()} from {name}: {remark}."])
     kept = arm_file.renew(path, text)
     result = {"path": str(path), "changes": _changes(before, after)} | more
-    result.pop("arm", None)
     if output.result(result):
         return
-    if show is not None:
-        show()
+    if more:
+        show_found(output, table, more)
     _show_changes(output, result, kept, str(name if out is None else out))
 
 
@@ -159,53 +140,72 @@ def _zeroed(output: Output, arm: ArmConfig, pose: str) -> ArmConfig:
 
 
 def _touch_all(output: Output, arm: ArmConfig, points: Path, touches: int, kept: Path, holding: bool) -> Readings:
-    """Lead the person through every point and keep each touch; a reading that fails is taken again."""
+    """Lead the person through the points and keep each touch; a reading that fails is taken again."""
     from armctl.commissioning import arm_file, calibration
+    from armctl.commissioning.holding import Way, left, most_telling, ways_above
 
-    places = [point for point in calibration.read_points(points) for _ in range(touches)]
-    calibration.check_points(arm, places)
-    session = calibration.Readings(arm_id=arm.arm_id, touches=())
+    places = calibration.read_points(points)
+    calibration.check_points(arm, places * touches)
+    ways = [Way(number, place, k) for number, place in enumerate(places, 1) for k in range(touches)]
+    if holding:
+        ways = ways_above(arm, places, ABOVE_M)
+        for number in sorted({*range(1, len(places) + 1)} - {way.number for way in ways}):
+            output.say(f"point {number} is left out: the arm cannot stand {1000.0 * ABOVE_M:.0f} mm above it")
+    made, taken, skipped = list[Way](), list[calibration.Touch](), set[int]()
     with ExitStack() as held:
         client = held.enter_context(output.client()) if holding else None
         bus = None if holding else held.enter_context(opened(output, [joint.servo_id for joint in arm.joints]))
         person = AtTerminal(output, *ASKED)
         output.say(f"readings are kept in {kept}, after every touch")
-        while (done := len(session.touches)) < len(places):
-            where = f"point {done // touches + 1} of {len(places) // touches} ({millimetres(places[done])})"
-            where += f", posture {done % touches + 1} of {touches}"
+        while due := left(ways, made, skipped, touches):
+            way = most_telling(arm, taken, due) if holding else due[0]
+            where = f"point {way.number} of {len(places)} ({millimetres(way.point_m)})"
+            where += f", posture {[one.number for one in made].count(way.number) + 1} of {touches}"
             try:
                 if client is not None:
                     output.say(f"{where}: lead the tip near it, press it onto it with a finger, and press q")
-                    ticks = _led(output, client, arm, places[done], done % touches + 1)
+                    key = _led(output, client, way)
                 else:
-                    assert bus is not None
-                    person.ask("", f"{where}: hold the tip on it")
-                    ticks = calibration.read_ticks(bus, arm.joints, bus.port.clock)
+                    key = person.ask("", f"{where}: hold the tip on it ({KEYS})")
+                if key == "s":
+                    skipped.add(way.number)
+                    continue
+                if key != "b":
+                    ticks = calibration.read_ticks(bus, arm.joints, bus.port.clock) if bus else _standing(output, arm)
+                    taken.append(calibration.Touch(point_m=way.point_m, ticks=ticks))
+                    made.append(way)
+                elif made:
+                    taken.pop()
+                    skipped.discard(made.pop().number)
             except RequestRefused as refusal:
                 output.say(f"not taken: {refusal}")
                 continue
-            touch = calibration.Touch(point_m=places[done], ticks=ticks)
-            session = calibration.Readings(arm_id=arm.arm_id, touches=(*session.touches, touch))
+            session = calibration.Readings(arm_id=arm.arm_id, touches=tuple(taken))
             arm_file.write(kept, calibration.readings_text(session))
             command = "armctl calibrate" + " --holding" * holding
-            output.after_interrupt = f"{done + 1} touches are in {kept}; `{command} --readings` takes them"
-    return session
+            output.after_interrupt = f"{len(made)} touches are in {kept}; `{command} --readings` takes them"
+    return calibration.Readings(arm_id=arm.arm_id, touches=tuple(taken))
 
 
-def _led(output: Output, client: Client, arm: ArmConfig, point: Sequence[float], posture: int) -> tuple[float, ...]:
-    """Mean position [tick] of every servo of an arm that stands by itself where a person led its tip.
+def _led(output: Output, client: Client, way: Way) -> str:
+    """Have the daemon bring the tip above a point, in any posture if not in the wanted one; the key that ends it."""
+    x, y, z = way.point_m
+    # A gripper, and what else moves no tip, stays: it may hold a pointer.
+    others = client.call("status")["joints"][len(way.q_rad) :]
+    stay = [one["position_rad"] if one["wanted_rad"] is None else one["wanted_rad"] for one in others]
+    for target in ({"joints_rad": (*way.q_rad, *stay)}, {"point_m": (x, y, z + ABOVE_M)}):
+        try:
+            client.call("move", on_progress=None, **target)
+            break
+        except RequestRefused as refusal:
+            output.say(f"not led above it: {refusal}")
+    return by_keys(output, client.call, LED_M_S, f"q: take it; {KEYS}", "qsb")
 
-    Raises:
-        RequestRefused: its torque is off, or it did not stand still.
-    """
+
+def _standing(output: Output, arm: ArmConfig) -> tuple[float, ...]:
+    """Mean position [tick] of every servo of an arm that stands by itself; RequestRefused: it is limp, or moved."""
     from armctl.commissioning.holding import standing_ticks
 
-    x, y, z = point
-    try:
-        client.call("move", point_m=(x, y, z + ABOVE_M), posture=posture)
-    except RequestRefused as refusal:
-        output.say(f"not led above it: {refusal}")
-    by_keys(output, client.call, LED_M_S)
     with output.client() as watcher:
         return standing_ticks(arm, [snapshot["joints"] for snapshot in islice(watcher.subscribe(), LOOKS)])
 
@@ -225,10 +225,9 @@ def _calibrate_sag(output: Output) -> None:
     path = sag_file.save(output.config, model)
     residual = dict(zip(rig.arm.joint_names, model.residual_tick, strict=False))
     if not output.result({"path": str(path), "lines": model.lines, "residual_tick": residual}):
-        output.say(f"{path}: sag and friction of {len(residual)} joints from {model.lines} lines")
-        rows = [(name, f"{ticks:.2f}") for name, ticks in residual.items()]
-        show_table(output.console, "", ("joint", "unexplained, tick"), rows, words=("joint",))
-        output.say("An encoder's own noise is about 0.6 tick.")
+        title = f"{path}: sag and friction of {len(residual)} joints from {model.lines} lines"
+        show_rows(output.console, "sag", title, [{"joint": name, "tick": tick} for name, tick in residual.items()])
+        output.say(below("sag", {}))
 
 
 def _changes(old_arm: ArmConfig, new_arm: ArmConfig) -> list[dict[str, Any]]:
@@ -253,29 +252,14 @@ def _changes(old_arm: ArmConfig, new_arm: ArmConfig) -> list[dict[str, Any]]:
     return [{"key": key, "before": was, "after": now} for key, was, now in rows if was != now]
 
 
-def show_held(output: Output, held: Held) -> None:
-    rows = [(p["name"], f"{round(p['value'], 9) + 0.0:.5g}", f"{p['sd']:.2g}", p["unit"]) for p in held.parameters]
-    show_table(output.console, "", ("parameter", "value", "+-", "unit"), rows, words=("parameter", "unit"))
-    output.say(f"{held.before_mm:.2f} mm off before, {held.held_out_mm:.2f} mm on points left out")
-    worst = max(held.residuals_mm)
-    output.say(f"worst point: touch {held.residuals_mm.index(worst) + 1}, {worst:.2f} mm")
-
-
-def show_fit(output: Output, fit: Fit) -> None:
-    output.say(f"distance of tool and point: {fit.rms_before_mm:.2f} mm before, {fit.rms_mm:.2f} mm after (rms)")
-    worst = int(fit.residuals_mm.argmax())
-    output.say(f"worst point: touch {worst + 1}, {fit.residuals_mm[worst]:.2f} mm")
-    rows = []
-    for parameter in fit.parameters:
-        factor, unit = (1000.0, "mm") if parameter.unit == "m" else (1.0, "tick")
-        values = (parameter.before, parameter.after, parameter.standard_error)
-        shown = ("-" if value is None else f"{value * factor:.2f}" for value in values)
-        rows.append((parameter.name, *shown, unit))
-    show_table(output.console, "", ("parameter", "before", "after", "+-", "unit"), rows, words=("parameter", "unit"))
-    for parameter in fit.parameters:
-        if parameter.standard_error is None:
-            output.say(f"{parameter.name} is left alone: {parameter.held}")
-    if not fit.complete:
-        output.say("What these points do not show was left alone, and the rest is only good near these postures:")
-        postures = "more postures (elbow high and low, tool steep and flat)"
-        output.say(f"touch every point in {postures} before you rely on it.")
+def show_found(output: Output, table: str, found: dict[str, Any]) -> None:
+    """Every parameter, how well all of them fit, and what was left alone."""
+    show_rows(output.console, table, "", found["parameters"])
+    worst = max(found["residuals_mm"])
+    output.say(below(table, found))
+    output.say(f"worst point: touch {found['residuals_mm'].index(worst) + 1}, {worst:.2f} mm")
+    for parameter in found["parameters"]:
+        if parameter.get("held"):
+            output.say("{name} is left alone: {held}".format(**parameter))
+    if not found.get("complete", True):
+        output.say(below("incomplete", found))

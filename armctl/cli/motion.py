@@ -38,7 +38,7 @@ def move_command(output: Output, deg: bool, **asked: Any) -> None:
 # Key -> where it leads the tool; how long after it was pressed last, as terminals repeat a key that is held down.
 LEADS = {"up": "x+", "down": "x-", "left": "y+", "right": "y-", "u": "z+", "d": "z-"}
 HELD_S = 0.6
-KEYS_HELP = "arrows: forward, back, left, right; u, d: up, down; +, -: faster, slower; any other key: stop; q: leave"
+KEYS_HELP = "arrows: forward, back, left, right; u, d: up, down; +, -: faster, slower; any other key: stop"
 
 
 @command("jog", SOCKET)
@@ -63,7 +63,7 @@ def jog_command(output: Output, joint: str | None, axis: str | None, speed: floa
         if joint is not None and joint not in names:
             raise ConfigError("armctl jog", "--joint", f"no joint {joint!r}", f"known: {', '.join(names)}")
         if axis is joint is None:
-            by_keys(output, client.call, abs(speed))
+            by_keys(output, client.call, abs(speed), "q: leave")
         else:
             turn = max(-10.0, min(10.0, math.radians(speed) if deg else speed))
             joints = [turn * (name == joint) for name in names] if joint else []
@@ -80,12 +80,19 @@ def _lead(way: str, speed_m_s: float) -> list[float]:
     return [(speed_m_s if way[1] == "+" else -speed_m_s) * (axis == way[0]) for axis in "xyz"]
 
 
-def by_keys(output: Output, call: Callable[..., Any], speed_m_s: float) -> None:
-    """Lead the tool as long as keys say so; each answer comes when the next word is due. What is refused is said."""
+def by_keys(output: Output, call: Callable[..., Any], speed_m_s: float, more: str, ends: str = "q") -> str:
+    """Lead the tool as long as keys say so; each answer comes when the next word is due. What is refused is said.
+
+    Args:
+        more: What is said of the keys that end it.
+        ends: These keys.
+    Returns:
+        Which of them was pressed.
+    """
     way, until_s, moves, why = "", 0.0, False, ""
     with keys(sys.stdin) as pressed:
-        output.say(KEYS_HELP)
-        while (key := pressed.wait(0.0 if moves else 0.05)) != "q":
+        output.say(f"{KEYS_HELP}; {more}")
+        while not (key := pressed.wait(0.0 if moves else 0.05)) or key not in ends:
             speed_m_s = min(max(speed_m_s * {"+": 1.25, "-": 0.8}.get(key, 1.0), 0.002), 0.25)
             if key and key not in "+-":
                 way, until_s, why = LEADS.get(key, ""), time.monotonic() + HELD_S, ""
@@ -101,6 +108,7 @@ def by_keys(output: Output, call: Callable[..., Any], speed_m_s: float) -> None:
             moves = leads
         if moves:
             call("stop")
+    return key
 
 
 @command("path", SOCKET)

@@ -11,7 +11,7 @@ import click
 
 from armctl.cli.output import ARM, BAUD, CONFIG, PORT, Output, command
 from armctl.cli.setup import opened
-from armctl.cli.tables import show_table
+from armctl.cli.tables import show_rows
 
 if TYPE_CHECKING:
     from armctl.commissioning.eeprom import Difference
@@ -98,7 +98,7 @@ def mend_command(output: Output, servo: str) -> None:
         raise click.BadParameter(f"servo {strangers[0]} is not of the arm {arm.arm_id}", param_hint="ID")
     with opened(output) as bus:
         changed = mend(bus, [one for one in arm.servos if one.servo_id in servo_ids])
-    shown = partial(show_differences, output, changed, "now", "was")
+    shown = partial(show_differences, output, changed, "mended")
     output.answer({"mended": [it._asdict() for it in changed]}, shown if changed else "nothing to mend")
 
 
@@ -152,7 +152,7 @@ def eeprom_diff(output: Output, file: Path) -> int:
     snapshot = load(file)
     with opened(output) as bus:
         found = differences(bus, snapshot)
-    shown = partial(show_differences, output, found, "file", "servo")
+    shown = partial(show_differences, output, found, "differ")
     output.answer({"differences": [difference._asdict() for difference in found]}, shown if found else "no difference")
     return 1 if found else 0
 
@@ -169,14 +169,10 @@ def eeprom_restore(output: Output, file: Path, servos: tuple[int, ...]) -> None:
     with opened(output) as bus:
         changed = restore(bus, snapshot, servos)
     if not output.result({"restored": [difference._asdict() for difference in changed]}):
-        show_differences(output, changed, "now", "was")
+        show_differences(output, changed, "mended")
         output.say(f"{len(changed)} registers restored")
 
 
-def show_differences(output: Output, found: Sequence[Difference], wanted: str, other: str) -> None:
-    rows = [
-        (str(it.servo_id), it.register, str(it.wanted), "not readable" if it.found is None else str(it.found))
-        for it in found
-    ]
-    if rows:
-        show_table(output.console, "", ("servo", "register", wanted, other), rows, words=("register",))
+def show_differences(output: Output, found: Sequence[Difference], table: str) -> None:
+    if found:
+        show_rows(output.console, table, "", [it._asdict() for it in found])

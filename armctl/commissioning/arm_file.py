@@ -8,7 +8,7 @@ import numpy as np
 
 from armctl.commissioning.calibration import calibration_text
 from armctl.config import ArmConfig
-from armctl.errors import ConfigError, LogError
+from armctl.errors import ConfigError, LogError, RequestRefused
 from armctl.files import calibration_dirs, find_arm_file, load_arm, read_text, shipped_dirs
 from armctl.kinematics import robots
 from armctl.recording.disk import put
@@ -135,6 +135,12 @@ def before(path: Path) -> str:
 
 def _kept(path: Path) -> list[Path]:
     return [one for one in path.with_suffix(".history").glob(f"*{path.suffix}") if one.stem.isdecimal()]
+
+
+def refuse_taken(*new: Path | None) -> None:
+    """Refuse to write a file where there is one (FILE_EXISTS)."""
+    if taken := [path for path in new if path is not None and path.exists()]:
+        raise RequestRefused("FILE_EXISTS", f"{taken[0]}: exists and is not overwritten; choose another name")
 
 
 def write(path: Path, text: str) -> None:

@@ -25,8 +25,8 @@ What can be told apart, and what cannot:
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
@@ -41,8 +41,7 @@ from armctl.dynamixel.identify import IDENTIFY_LATENCY_MS
 from armctl.errors import ConfigError, PortGone, RequestRefused
 from armctl.files import read_text
 from armctl.kinematics import robots
-from armctl.kinematics.chain import jacobian, tool_position
-from armctl.kinematics.robots.robot import Robot
+from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
 
 MM = 1000.0
@@ -61,16 +60,16 @@ HELD_ERROR_TICK = 5.0
 HELD_ERROR_MM = 2.0
 # Component of a weak direction from which on a parameter is named.
 CONFUSED = 0.3
-# Parameters -> residuals [mm] and their sensitivity.
-Model = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
+# Parameters -> how far the tool is off the points, coordinate by coordinate.
+Residuals = Callable[[FloatArray], FloatArray]
 BEYOND_CHAIN = "does not move the tool"
 ITERATIONS = 50
 # Gauss-Newton ends when no scaled parameter moves by more.
 STEP = 1e-9
 # Residuals above this come from points in the wrong order or frame, not from an arm.
 MAX_RMS_MM = 5.0
-# The tool position is linear in every length, so that a central difference of any width is its derivative.
-LENGTH_STEP_M = 1e-3
+# Of the differences that make the matrix [ticks, mm].
+WIDTH = 1e-3
 
 
 class Touch(Frozen):
@@ -88,36 +87,20 @@ class Readings(Frozen):
     touches: tuple[Touch, ...] = Field(strict=False)
 
 
-@dataclass(frozen=True, slots=True)
-class Parameter:
-    """One zero tick or length, before and after."""
-
-    # `JOINT.zero_tick` or `lengths_m.LENGTH`.
-    name: str
-    unit: str
-    before: float
-    after: float
-    # From the residuals, and from what held ones may be wrong by; None: held.
-    standard_error: float | None
-    # Why it was left alone.
-    held: str = ""
-
-
-@dataclass(frozen=True)
-class Fit:
+class Fit(NamedTuple):
     """The result of a calibration."""
 
     arm: ArmConfig
-    parameters: tuple[Parameter, ...]
-    # Distance of the calibrated tool from each point, shape (m,).
-    residuals_mm: FloatArray
+    # Of each zero tick (`JOINT.zero_tick`) and length (`lengths_m.LENGTH`) its `name` and `unit`, `before` and `after`,
+    # its `standard_error`, from the residuals and from what held ones may be wrong by, and why it was left alone
+    # (`held`; then it has no error).
+    parameters: list[dict[str, Any]]
+    # Distance of the calibrated tool from each point.
+    residuals_mm: list[float]
     rms_before_mm: float
     rms_mm: float
-
-    @property
-    def complete(self) -> bool:
-        """Whether the points showed everything that moves the tool."""
-        return not any(p.held and p.held != BEYOND_CHAIN for p in self.parameters)
+    # Whether the points showed everything that moves the tool.
+    complete: bool
 
 
 # ------------------------------------------------------------------------------------------------------- readings
@@ -131,16 +114,14 @@ def read_points(path: Path) -> list[tuple[float, float, float]]:
     """
     points = []
     for number, line in enumerate(read_text(path, "points").splitlines(), start=1):
-        text = line.partition("#")[0].strip()
-        if not text:
-            continue
-        try:
-            x, y, z = (float(part) for part in text.split(","))
-        except ValueError:
-            raise ConfigError(str(path), f"line {number}", f"{text!r} is not x,y,z in metres") from None
-        if not all(math.isfinite(value) and abs(value) <= 10.0 for value in (x, y, z)):
-            raise ConfigError(str(path), f"line {number}", f"{text!r}: finite and within 10 m (the unit is metres)")
-        points.append((x, y, z))
+        if text := line.partition("#")[0].strip():
+            try:
+                x, y, z = map(float, text.split(","))
+            except ValueError:
+                raise ConfigError(str(path), f"line {number}", f"{text!r} is not x,y,z in metres") from None
+            if not all(math.isfinite(value) and abs(value) <= 10.0 for value in (x, y, z)):
+                raise ConfigError(str(path), f"line {number}", f"{text!r}: finite and within 10 m (the unit is metres)")
+            points.append((x, y, z))
     if not points:
         raise ConfigError(str(path), "", "holds no point", "one line x,y,z in metres for each")
     return points
@@ -237,31 +218,26 @@ def fit(arm: ArmConfig, touches: Sequence[Touch]) -> Fit:
         RequestRefused: too few touches or points, or no arm of this model fits them.
     """
     check_points(arm, [touch.point_m for touch in touches])
-    robot = robots.get(arm.robot, arm.lengths_m)
-    n = robot.chain.n
-    names = list(robot.lengths_m)
+    robot = robots.of(arm)
+    n, names = robot.chain.n, list(robot.lengths_m)
     directions = np.array([joint.direction for joint in arm.joints[:n]], dtype=np.float64)
     points = np.array([touch.point_m for touch in touches])
     ticks = np.array([touch.ticks[:n] for touch in touches])
     start = np.array([joint.zero_tick for joint in arm.joints[:n]] + [robot.lengths_m[name] * MM for name in names])
 
-    def model(x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Residuals [mm], shape (3 m,), and their sensitivity to x [ticks, mm], shape (3 m, n + lengths)."""
+    def missed(x: FloatArray) -> FloatArray:
+        """Tool less point [mm], shape (3 m,), by zeros [ticks] and lengths [mm]."""
         chosen = robot.with_lengths(dict(zip(names, (x[n:] / MM).tolist(), strict=True)))
         q = directions * (ticks - x[:n]) * ax12a.TICK_RAD
-        residual = (points - tool_position(chosen.chain, q)) * MM
-        turned = jacobian(chosen.chain, q)[:, :3] * (-directions * ax12a.TICK_RAD * MM)
-        stretched = np.stack([_length_sensitivity(chosen, name, q) for name in names], axis=-1)
-        return residual.ravel(), np.concatenate([turned, stretched], axis=-1).reshape(-1, x.size)
+        return np.ravel((tool_position(chosen.chain, q) - points) * MM)
 
     held: dict[int, str] = {}
     labels = [f"{joint.name}.zero_tick" for joint in arm.joints[:n]] + [f"lengths_m.{name}" for name in names]
-    before, J = model(start)
-    x, J = _solve(model, start, held)
+    x, J = _solve(missed, start, held)
     while weak := _weakest(J, held, labels):
         held[weak[0]] = weak[1]
-        x, J = _solve(model, start, held)
-    residual, _ = model(x)
+        x, J = _solve(missed, start, held)
+    residual = missed(x)
     rms_mm = _rms(residual)
     if not rms_mm <= MAX_RMS_MM:
         text = f"the best arm is {rms_mm:.1f} mm off its points, at most {MAX_RMS_MM:.0f} mm make sense"
@@ -275,41 +251,41 @@ def fit(arm: ArmConfig, touches: Sequence[Touch]) -> Fit:
     absorbed *= np.array([HELD_ERROR_TICK if i < n else HELD_ERROR_MM for i in left_alone])
     errors[free] = np.sqrt(variance * np.diag(np.linalg.inv(J[:, free].T @ J[:, free])) + np.sum(absorbed**2, axis=1))
     scale = np.array([1.0] * n + [1.0 / MM] * len(names))
-    parameters = []
-    for i, (label, begin, end, error) in enumerate(zip(labels, start * scale, x * scale, errors * scale, strict=True)):
-        known = None if i in held else float(error)
-        parameters.append(Parameter(label, "tick" if i < n else "m", float(begin), float(end), known, held.get(i, "")))
-    parameters += [
-        Parameter(f"{joint.name}.zero_tick", "tick", joint.zero_tick, joint.zero_tick, None, BEYOND_CHAIN)
-        for joint in arm.joints[n:]
+    columns = zip(labels, *((column * scale).tolist() for column in (start, x, errors)), strict=True)
+    parameters = [
+        {"name": name, "unit": "tick" if i < n else "m", "before": before, "after": after}
+        | {"standard_error": None if i in held else error, "held": held.get(i, "")}
+        for i, (name, before, after, error) in enumerate(columns)
     ]
+    for joint in arm.joints[n:]:
+        known = {"before": joint.zero_tick, "after": joint.zero_tick, "standard_error": None, "held": BEYOND_CHAIN}
+        parameters.append({"name": f"{joint.name}.zero_tick", "unit": "tick", **known})
     zeros = [*x[:n].tolist(), *(joint.zero_tick for joint in arm.joints[n:])]
     lengths_m = {name: float(x[n + i] / MM) for i, name in enumerate(names) if n + i not in held}
     return Fit(
         arm=recalibrated(arm, zeros, {**arm.lengths_m, **lengths_m}),
-        parameters=tuple(parameters),
-        residuals_mm=np.linalg.norm(residual.reshape(-1, 3), axis=1),
-        rms_before_mm=_rms(before),
+        parameters=parameters,
+        residuals_mm=np.linalg.norm(residual.reshape(-1, 3), axis=1).tolist(),
+        rms_before_mm=_rms(missed(start)),
         rms_mm=rms_mm,
+        complete=not held,
     )
 
 
-def _length_sensitivity(robot: Robot, name: str, q: FloatArray) -> FloatArray:
-    """d(tool position) / d(length), shape (m, 3)."""
-    lengths_m = (robot.lengths_m[name] + step_m for step_m in (-LENGTH_STEP_M, LENGTH_STEP_M))
-    shorter, longer = (tool_position(robot.with_lengths({name: length_m}).chain, q) for length_m in lengths_m)
-    return (longer - shorter) / (2.0 * LENGTH_STEP_M)
+def slopes(of: Residuals, x: FloatArray, step: float) -> FloatArray:
+    """How each value of a function grows with each argument, by central differences; shape (values, arguments)."""
+    return np.stack([(of(x + d) - of(x - d)) / (2.0 * step) for d in step * np.eye(len(x))], axis=1)
 
 
-def _solve(model: Model, start: FloatArray, held: dict[int, str]) -> tuple[FloatArray, FloatArray]:
+def _solve(missed: Residuals, start: FloatArray, held: dict[int, str]) -> tuple[FloatArray, FloatArray]:
     """Gauss-Newton over what is not held; parameters and the last matrix."""
     x = start.copy()
     free = [i for i in range(x.size) if i not in held]
     for _ in range(ITERATIONS):
-        residual, J = model(x)
+        J = slopes(missed, x, WIDTH)
         # Minimum-norm: a direction the points do not show is not followed, whatever the numbers say.
-        step = np.linalg.lstsq(J[:, free], residual, rcond=1e-9)[0]
-        x[free] += step
+        step = np.linalg.lstsq(J[:, free], missed(x), rcond=1e-9)[0]
+        x[free] -= step
         if np.abs(step).max() <= STEP:
             break
     return x, J

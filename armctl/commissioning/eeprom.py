@@ -18,6 +18,7 @@ from typing import NamedTuple
 import yaml
 from pydantic import Field
 
+from armctl.commissioning.arm_file import refuse_taken, write
 from armctl.commissioning.scan import scan
 from armctl.config import Frozen, parse_yaml, validate
 from armctl.dynamixel import ax12a
@@ -100,9 +101,10 @@ def save(bus: ServoBus, servo_ids: Iterable[int], path: Path) -> Snapshot:
         RequestRefused: a servo does not answer, or the file exists.
         ConfigError: the file cannot be written.
     """
+    refuse_taken(path)
     snapshot = Snapshot.model_construct(servos=tuple(read_eeprom(bus, servo_id) for servo_id in servo_ids))
     data = snapshot.model_dump(mode="json")
-    write_new(path, json.dumps(data, indent=1) if path.suffix == ".json" else yaml.safe_dump(data, sort_keys=False))
+    write(path, json.dumps(data, indent=1) + "\n" if path.suffix == ".json" else yaml.safe_dump(data, sort_keys=False))
     return snapshot
 
 
@@ -129,22 +131,6 @@ def differences(bus: ServoBus, snapshot: Snapshot) -> list[Difference]:
         rows = [(name, wanted, present.get(name)) for name, wanted in servo.registers.items()]
         found += [Difference(servo.servo_id, *row) for row in rows if row[1] != row[2]]
     return found
-
-
-def write_new(path: Path, text: str) -> None:
-    """Write a file that must not exist yet.
-
-    Raises:
-        RequestRefused: it exists.
-        ConfigError: it cannot be written.
-    """
-    try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(text if text.endswith("\n") else text + "\n")
-    except FileExistsError:
-        raise RequestRefused("FILE_EXISTS", f"{path}: exists and is not overwritten; choose another name") from None
-    except OSError as error:
-        raise ConfigError(str(path), "", f"cannot be written: {error.strerror}", "choose another place") from None
 
 
 # -------------------------------------------------------------------------------------------------------- writing

@@ -2,6 +2,7 @@
 
 import io
 import json
+import re
 import shutil
 import sys
 import zipfile
@@ -239,7 +240,8 @@ def test_calibrate_holding_moves_above_each_point_and_is_led_onto_it(
     class Standing(StandIn):
         def call(self, method: str, **params: object) -> dict[str, object]:
             if method == "status":
-                return {"arm_id": arm.arm_id, "calibration_hash": told_hash}
+                joints = [{"wanted_rad": None if k == 5 else 0.0, "position_rad": 0.25} for k in range(6)]
+                return {"arm_id": arm.arm_id, "calibration_hash": told_hash, "joints": joints}
             asked.append((method, params))
             if method == "move" and len(asked) == 1:
                 raise RequestRefused("PREFLIGHT", "not there")
@@ -249,11 +251,18 @@ def test_calibrate_holding_moves_above_each_point_and_is_led_onto_it(
             while True:
                 yield {"joints": [{"torque_enabled": len(led) != 2, "position_rad": 0.1} for _ in arm.joints]}
 
-    led: list[float] = []
+    led, keys = list[str](), iter("qq" + "s" + "bq" + "q" * 9)
+
+    def by_keys(_output: object, _call: object, _speed: float, said: str, ends: str) -> str:
+        assert not missing(said, "q: take it", "s: skip this point", "b: take the last touch back")
+        led.append(key := next(keys))
+        assert key in ends
+        return key
+
     monkeypatch.setattr(client, "Client", Standing)
-    monkeypatch.setattr(calibrate, "by_keys", lambda output, call, speed: led.append(speed))
+    monkeypatch.setattr(calibrate, "by_keys", by_keys)
     monkeypatch.setattr(sys, "stdin", person(lambda: "\n"))
-    (points := arm_file.with_name("points.csv")).write_text("0.15,0,0\n0.2,0,0\n0.2,0.1,0\n")
+    (points := arm_file.with_name("points.csv")).write_text("0.15,0,0\n0.2,0,0\n0.9,0,0\n0.2,0.1,0\n0.2,-0.1,0.05\n")
     saved = arm_file.with_name("kept.yaml")
     words = ("calibrate", "--arm", arm_file, "--points", points, "--holding", "--save-readings", saved)
     assert not missing(
@@ -262,15 +271,44 @@ def test_calibrate_holding_moves_above_each_point_and_is_led_onto_it(
     assert not asked
     told_hash = arm.calibration_hash
     said = typed(*words, status=1)
-    assert not missing(said.out, "not led above it: not there", "press q", "not taken: torque is off")
-    moves = [params for method, params in asked if method == "move"]
-    assert moves[1] == {"point_m": (0.15, 0.0, 0.03), "posture": 2}
+    assert not missing(
+        said.out, "not led above it: not there", "press q", "not taken: torque is off", "point 3 is left out"
+    )
+    moves: list[Any] = [params for method, params in asked if method == "move"]
+    assert list(moves[0]) == ["on_progress", "joints_rad"], "one of several postures, and where that cannot be, any"
+    assert list(moves[1]) == ["on_progress", "point_m"]
+    stands = tool_position(robots.of(arm).chain, np.array(moves[0]["joints_rad"][:5]))
+    np.testing.assert_allclose(stands, moves[1]["point_m"], atol=1e-5)
+    assert {move["joints_rad"][5] for move in moves if "joints_rad" in move} == {0.25}, "what moves no tip stays"
+    # The second touch was not taken, its point was skipped; then the first one was taken back, and made again.
+    assert "".join(led).startswith("qqsbq")
+    order = re.findall(r"point (\d) of 5 .*, posture (\d) of 2: lead", said.out)
+    assert order[1] == order[2]
+    assert order[4] == order[0] != order[3]
+    assert order[2][0] not in [number for number, _ in order[3:]], "what was skipped comes no more"
     kept = load_readings(saved, arm)
-    assert len(kept.touches) == 6 == len(led) - 1
+    assert [touch.point_m for touch in kept.touches].count((0.9, 0.0, 0.0)) == 0
+    assert len(kept.touches) == 6 == len(led) - 4
     assert kept.touches[0].ticks == pytest.approx([joint.tick(0.1) for joint in arm.joints], abs=0.001)
     assert "POOR_FIT" in said.err or "off its points" in said.err
     wrong = typed("calibrate", "--arm", arm_file, "--zero-at", "rest", "--holding", status=2)
     assert "(either with --holding)" in wrong.err
+
+
+def test_a_limp_touch_is_skipped_or_taken_back_by_a_word(
+    monkeypatch: pytest.MonkeyPatch, arm_file: Path, typed: Typed
+) -> None:
+    bench = plugged(Bench(spec=EXACT), monkeypatch)
+    (points := arm_file.with_name("points.csv")).write_text("0.1,0,0\n0.2,0,0\n0.1,0.1,0\n0.2,0.1,0\n")
+    monkeypatch.setattr(calibration, "read_ticks", lambda *_: tuple(joint.zero_tick for joint in bench.config.joints))
+    words = iter(["\n", "s\n", "b\n", *["\n"] * 8])
+    monkeypatch.setattr(sys, "stdin", person(lambda: next(words)))
+    said = typed("calibrate", "--arm", arm_file, "--port", "x", "--points", points, status=1).out
+    order = re.findall(r"point (\d) of 4 .*, posture (\d) of 2", said.replace("\n", " ").replace("point", "\npoint"))
+    assert ["".join(one) for one in order] == ["11", "12", "21", "11", "12", "21", "22", "31", "32", "41", "42"][
+        : len(order)
+    ]
+    assert not missing(said, "s: skip this point; b: take the last touch back")
 
 
 def test_a_calibration_is_taken_back_and_brought_back(arm_file: Path, answer: Answer, typed: Typed) -> None:

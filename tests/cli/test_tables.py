@@ -7,7 +7,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import yaml
 from hypothesis import given
@@ -17,7 +16,7 @@ from armctl.cli import calibrate, demo, experiment, jobs, log, logs, reproduce, 
 from armctl.cli.output import Output
 from armctl.cli.screen import Screen
 from armctl.cli.tables import show_rows, show_table
-from armctl.commissioning.calibration import Fit, Parameter
+from armctl.commissioning.calibration import Fit
 from armctl.commissioning.doctor import Check
 from armctl.commissioning.eeprom import Difference
 from armctl.commissioning.scan import FoundServo
@@ -74,11 +73,25 @@ ENTRY = Entry("002", PRINTED[0], 1, 2, *PRINTED[1:3], "misprint", "line 1", PRIN
 SERVOS = [FoundServo(**row) for row in WIDEST["servos"]]
 CHECKS = [Check(**row) for row in WIDEST["checks"]]
 DIFFERENCES = [Difference(**row) for row in WIDEST["differences"]]
-PARAMETERS = (
-    Parameter(f"{LONGEST_NAME}.zero_tick", "tick", -1023.5, 2046.5, 123.45),
-    Parameter("lengths_m.a56", "m", 0.1234, 0.1235, None, "these points do not tell it from the shoulder's zero"),
-)
-FIT = Fit(load_arm("ax12-line"), PARAMETERS, np.array([123.4, 5.0]), rms_before_mm=123.4, rms_mm=12.3)
+KNOWN: dict[str, Any] = {
+    "name": f"{LONGEST_NAME}.zero_tick",
+    "before": -1023.5,
+    "after": 2046.5,
+    "standard_error": 123.45,
+    "held": "",
+}
+LEFT: dict[str, Any] = {
+    "before": 0.1234,
+    "after": 0.1235,
+    "standard_error": None,
+    "held": "these points do not tell it from the shoulder's zero",
+}
+PARAMETERS = [KNOWN | {"unit": "tick"}, LEFT | {"name": "lengths_m.a56", "unit": "m"}]
+FIT = Fit(load_arm("ax12-line"), PARAMETERS, [123.4, 5.0], rms_before_mm=123.4, rms_mm=12.3, complete=False)
+HELD: dict[str, Any] = {
+    "parameters": [{"name": f"robot.dh.16.{'w' * 20}", "value": -1023.512, "sd": 0.0012345, "unit": "deg/m"}]
+}
+HELD |= {"residuals_mm": [123.4, 5.0], "before_mm": 123.4, "held_out_mm": 12.3}
 STUDIES = {name: WIDEST[f"study {name}"] for name in ("arms", "ga", "pareto", "paper")}
 STUDIES["limits"] = {"rows": [{**WIDEST["study limits"], "without": effect} for effect in (None, *EFFECTS, "timing")]}
 TABLES: dict[str, Callable[[Output], object]] = {
@@ -92,8 +105,9 @@ TABLES: dict[str, Callable[[Output], object]] = {
     "transfer": lambda out: show_rows(out.console, "transfer", "Peaks", WIDEST["transfer"]),
     "scan": lambda out: setup.show_servos(out, SERVOS),
     "doctor": lambda out: setup.show_checks(out, CHECKS),
-    "servo eeprom": lambda out: servo.show_differences(out, DIFFERENCES, "file", "servo"),
-    "calibrate": lambda out: calibrate.show_fit(out, FIT),
+    "servo eeprom": lambda out: servo.show_differences(out, DIFFERENCES, "differ"),
+    "calibrate": lambda out: calibrate.show_found(out, "limp", FIT._asdict()),
+    "calibrate --holding": lambda out: calibrate.show_found(out, "holding", HELD),
     "log info": lambda out: log.show_topics(out, {"/armctl/" + "t" * 80: 1234567890}),
     **{f"log {name}": partial(show_rows_of, name=name) for name in ("logs", "events", "stats", "diff")},
 }

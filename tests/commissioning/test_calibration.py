@@ -69,7 +69,7 @@ def test_planted_zeros_and_3_mm_lengths_come_back(seed: int) -> None:
     assert zero_tick <= 1.0
     assert length_mm <= 0.5
     assert found.rms_mm < 1.0 < found.rms_before_mm
-    assert [parameter.name for parameter in found.parameters if parameter.held] == ["roll.zero_tick"]
+    assert [parameter["name"] for parameter in found.parameters if parameter["held"]] == ["roll.zero_tick"]
     assert found.complete
 
 
@@ -89,9 +89,11 @@ def test_standard_errors_are_what_repeated_calibrations_scatter() -> None:
     found = []
     for _ in range(60):
         noisy = moved(touches, [taken.point_m + 0.0005 * rng.standard_normal(3) for taken in touches])
-        found.append([p for p in fit(ARM, noisy).parameters if p.standard_error is not None])
-    after = np.array([[parameter.after for parameter in row] for row in found])
-    said = np.array([[parameter.standard_error for parameter in row] for row in found], dtype=np.float64).mean(axis=0)
+        found.append([p for p in fit(ARM, noisy).parameters if p["standard_error"] is not None])
+    after = np.array([[parameter["after"] for parameter in row] for row in found])
+    said = np.array([[parameter["standard_error"] for parameter in row] for row in found], dtype=np.float64).mean(
+        axis=0
+    )
     assert after.std(axis=0) / said == pytest.approx(np.ones(10), abs=0.3)
 
 
@@ -99,12 +101,12 @@ def test_a_tool_that_always_points_down_does_not_tell_d1_from_its_own_length() -
     rng = np.random.default_rng(3)
     true = planted(ARM, rng, tick=0.0, length_m=0.0)
     found = fit(ARM, ideal_touches(true, 30, rng, flat=True))
-    held = {p.name: p for p in found.parameters if p.held and p.name != "roll.zero_tick"}
+    held = {p["name"]: p for p in found.parameters if p["held"] and p["name"] != "roll.zero_tick"}
     assert held.keys() <= {"lengths_m.d1", "lengths_m.a56", "hand.zero_tick"}
     assert held
     for parameter in held.values():
-        assert (parameter.standard_error, parameter.after) == (None, parameter.before)
-        assert "points" in parameter.held
+        assert (parameter["standard_error"], parameter["after"]) == (None, parameter["before"])
+        assert "points" in parameter["held"]
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -121,14 +123,14 @@ def test_standard_errors_own_up_to_what_was_left_alone(seed: int) -> None:
     truth = {f"{joint.name}.zero_tick": joint.zero_tick for joint in true.joints}
     truth |= {f"lengths_m.{name}": length for name, length in true.lengths_m.items()}
     for parameter in found.parameters:
-        if parameter.standard_error is not None:
-            assert abs(parameter.after - truth[parameter.name]) <= 4.0 * parameter.standard_error
+        if parameter["standard_error"] is not None:
+            assert abs(parameter["after"] - truth[parameter["name"]]) <= 4.0 * parameter["standard_error"]
 
 
 def test_few_points_hold_what_they_do_not_show() -> None:
     """Three postures, time and again: little is observable, and the calibration stays near what it was."""
     found = fit(ARM, ideal_touches(ARM, 3, np.random.default_rng(4)) * 4)
-    assert sum(parameter.standard_error is not None for parameter in found.parameters) <= 9
+    assert sum(parameter["standard_error"] is not None for parameter in found.parameters) <= 9
     assert found.rms_mm < 1e-6
 
 

@@ -185,7 +185,7 @@ def test_a_file_is_never_overwritten(bench: Bench, tmp_path: Path) -> None:
         eeprom.save(bench.bus, (1,), path)
     assert path.read_text() == "precious"
     with pytest.raises(ConfigError, match="cannot be written"):
-        eeprom.save(bench.bus, (1,), tmp_path / "none" / "e.yaml")
+        eeprom.save(bench.bus, (1,), path / "x.yaml")
 
 
 def test_a_silent_servo_is_a_difference_and_not_saved(bench: Bench, tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import pytest
 
 from armctl.commissioning import holding
 from armctl.commissioning.calibration import Touch
+from armctl.commissioning.holding import Way
 from armctl.config import ArmConfig
 from armctl.errors import RequestRefused
 from armctl.files import load_arm
@@ -139,6 +140,73 @@ def test_an_arm_put_together_by_hand_is_where_it_is_told_to_be_afterwards(geomet
         told_mm.append(found.held_out_mm)
     assert np.median(off_mm) < min(bound_mm, 0.6 * float(np.median(was_mm)))
     assert np.median(told_mm) == pytest.approx(np.median(off_mm), abs=0.5)
+
+
+def information(J: FloatArray, sd: FloatArray) -> FloatArray:
+    return np.asarray(np.diag(sd**-2.0) + J.T @ J / holding.TOUCH_M**2)
+
+
+def test_the_next_way_is_the_one_whose_touch_makes_the_determinant_greatest() -> None:
+    rng, chain = np.random.default_rng(0), robots.of(ARM).chain
+    q = postures(ARM, 24, rng)
+    sd, x = holding._sd(chain), np.zeros(9 * chain.n)
+    slopes = [holding._slopes(chain, row[None, : chain.n], x) for row in q]
+    touches = touches_of(np.array([ticks_at(ARM, row) for row in q[:4]]), np.zeros((4, 3)))
+    ways = [Way(k, (0.0, 0.0, 0.0), 0, tuple(row[: chain.n])) for k, row in enumerate(q.tolist())][4:]
+    sizes = [np.linalg.slogdet(information(np.concatenate([*slopes[:4], slopes[way.number]]), sd))[1] for way in ways]
+    assert holding.most_telling(ARM, touches, ways) is ways[int(np.argmax(sizes))]
+    first = holding.most_telling(ARM, [], ways)
+    alone = [np.linalg.slogdet(information(slopes[way.number], sd))[1] for way in ways]
+    assert first is ways[int(np.argmax(alone))]
+
+
+def test_a_point_is_left_until_it_was_touched_so_often_or_is_skipped() -> None:
+    ways = [Way(number, (0.1, 0.0, 0.0), k) for number in (1, 2, 3) for k in range(3)]
+    assert holding.left(ways, [], (), 2) == ways
+    assert holding.left(ways, ways[:1], {3}, 2) == [*ways[1:3], *ways[3:6]]
+    assert holding.left(ways, [ways[0], ways[2]], {3}, 2) == ways[3:6]
+
+
+def test_ways_above_a_point_bring_the_tool_there_and_none_leads_out_of_reach_or_through_the_table() -> None:
+    points = [(0.2, 0.05, 0.0), (0.9, 0.0, 0.0), (0.15, -0.1, 0.06)]
+    ways = holding.ways_above(ARM, points, 0.03)
+    assert {way.number for way in ways} == {1, 3}
+    assert len({(way.number, way.posture) for way in ways}) == len(ways) > 4
+    for way in ways:
+        tool = tool_position(robots.of(ARM).chain, np.array(way.q_rad))
+        np.testing.assert_allclose(tool, np.add(way.point_m, (0.0, 0.0, 0.03)), atol=1e-5)
+        assert way.point_m == points[way.number - 1]
+
+
+SHEET, POSTURES = 8, 3
+
+
+def touched(seed: int, geometry: str) -> tuple[float, float]:
+    """How far off elsewhere [mm] an arm is with half of the touches, in the file's order and as they tell most."""
+    rng, simulated = np.random.default_rng(seed), put_together(ArmSpec(), geometry, "new")
+    points = [tuple(point) for point in rng.uniform([0.12, -0.14, 0.0], [0.26, 0.14, 0.12], (SHEET, 3)).tolist()]
+    ways = holding.ways_above(ARM, points, 0.03)
+    arm = SimulatedArm(ARM, seed=seed, spec=simulated)
+    q = np.array([(*way.q_rad, 0.0) for way in ways])
+    ticks = np.array([ticks_at(ARM, row) for row in q]) + 0.3 * rng.standard_normal(q.shape)
+    said = true_tool(arm, geometry, q, seed) + 0.5e-3 / math.sqrt(3.0) * rng.standard_normal((len(q), 3))
+    touches = dict(zip(ways, touches_of(ticks, said), strict=True))
+    elsewhere = over_a_sheet(60, rng)
+    away, at = np.array([ticks_at(ARM, row) for row in elsewhere]), true_tool(arm, geometry, elsewhere, seed)
+    in_order, telling = [way for way in ways if way.posture < POSTURES][: SHEET * POSTURES // 2], list[Way]()
+    while len(telling) < len(in_order):
+        due = holding.left(ways, telling, (), POSTURES)
+        telling.append(holding.most_telling(ARM, [touches[way] for way in telling], due))
+    found = (holding.fit(ARM, [touches[way] for way in some]).arm for some in (in_order, telling))
+    first, second = (1e3 * np.linalg.norm(tool_by(one, away) - at, axis=1).mean() for one in found)
+    return float(first), float(second)
+
+
+@pytest.mark.parametrize("geometry", ["typical", "poor"])
+def test_half_of_the_touches_say_more_in_the_order_that_tells_most(geometry: str) -> None:
+    in_order, telling = np.array([touched(seed, geometry) for seed in range(5)]).T
+    assert np.median(telling) < 0.9 * np.median(in_order)
+    assert (telling < in_order).sum() >= 4
 
 
 def test_touches_that_tell_nothing_change_nothing() -> None:
