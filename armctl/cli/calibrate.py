@@ -49,6 +49,7 @@ def calibrate_command(output: Output, points: Path | None, touches: int, way: tu
     near it by keys and press it onto it with a finger. Twists of its axes, waves of its sensors and what its weight
     bends are found as well. Each point is left out of the fit in turn: that shows how good the result is. An arm that
     would be no better stays as it was. The point and the posture that tell most come next, so you may stop early.
+    --sheet draws the points to be printed, or points that are in the arm's reach.
 
     --sag: a running daemon moves the arm along eight lines. What gravity and friction do to each joint is kept beside
     the calibration, as NAME.sag.json. --pairs, for joints that two servos turn: both are read while you lead the limp
@@ -59,6 +60,9 @@ def calibrate_command(output: Output, points: Path | None, touches: int, way: tu
     from armctl.commissioning import arm_file, calibration, pairs
     from armctl.commissioning import holding as under_torque
 
+    if (sheet := asked.pop("sheet")) is not None:
+        _draw_sheet(output, sheet, points, *way, *asked.values())
+        return
     readings, zero_at, out, save_readings = (asked[key] for key in ("readings", "zero_at", "out", "save_readings"))
     _refuse_several((points, readings, zero_at), way, (out, save_readings))
     holding = way == ("holding",)
@@ -107,6 +111,24 @@ def _refuse_several(sources: tuple[Any, ...], way: tuple[str, ...], new: tuple[P
         raise click.UsageError(f"give one of {kinds}")
     if way in (("sag",), ("undo",)) and any(new):
         raise click.UsageError(f"--{way[0]} writes no file of another name; leave out --out and --save-readings")
+
+
+def _draw_sheet(output: Output, file: Path, points: Path | None, *others: Any) -> None:
+    """Draw points to be printed; without any, some that are in reach, whose file then lies beside the drawing."""
+    from armctl.commissioning import arm_file, calibration, holding
+    from armctl.report import sheet
+
+    if any(others):
+        raise click.UsageError("--sheet draws a sheet; give nothing else but --points")
+    arm = output.arm
+    places = calibration.read_points(points) if points else holding.sheet_points(arm, ABOVE_M)
+    calibration.check_points(arm, places * 20)  # as often as each may be touched
+    if points is None:
+        arm_file.refuse_taken(points := file.with_suffix(".csv"))
+        arm_file.write(points, "".join("{:.4f},{:.4f},{:.4f}\n".format(*place) for place in places))
+    paper = sheet.write(places, arm.arm_id, arm.floor_m, file)
+    result = {"sheet": str(file), "paper": paper, "points": str(points)}
+    output.answer(result, f"{file}: {len(places)} points on {paper}; print it at 100 %\npoints: {points}")
 
 
 def _undo(output: Output) -> None:

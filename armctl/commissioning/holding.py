@@ -46,6 +46,8 @@ TOUCH_M = 0.7e-3
 STEP, ITERATIONS = 1e-6, 5
 # Of a point, those nearest to the rest pose: among more, there are some in which arms bend as no table tells.
 POSTURES = 7
+# Where points of a sheet of A4 are, and how high a box is.
+AHEAD_M, ASIDE_M, BOX_M = (0.085, 0.135, 0.185, 0.235), (-0.085, 0.0, 0.085), 0.06
 # No assembly is off by more standard deviations; the hand of a poor one bends by nearly 7.
 MOST_SD = 8.0
 DEG = math.degrees(1.0)
@@ -106,6 +108,12 @@ def ways_above(arm: ArmConfig, points_m: Sequence[Point], up_m: float) -> list[W
             free = [q[: on.robot.chain.n] for q in found if not preflight_motion(np.array([q, q]), on)]
             ways += [Way(number, point_m, k, tuple(q)) for k, q in enumerate(free[:POSTURES])]
     return ways
+
+
+def sheet_points(arm: ArmConfig, up_m: float) -> list[Point]:
+    """Points of a sheet for an arm that it can stand so far above, every other one on a box."""
+    raised = ((x, y, arm.floor_m + BOX_M * ((i + j) % 2)) for i, x in enumerate(AHEAD_M) for j, y in enumerate(ASIDE_M))
+    return list({way.number: way.point_m for way in ways_above(arm, [*raised], up_m)}.values())
 
 
 def left(ways: Sequence[Way], made: Sequence[Way], skipped: Collection[int], touches: int) -> list[Way]:

@@ -311,6 +311,26 @@ def test_a_limp_touch_is_skipped_or_taken_back_by_a_word(
     assert not missing(said, "s: skip this point; b: take the last touch back")
 
 
+def test_a_sheet_of_points_is_drawn_for_an_arm_and_has_its_points_beside_it(
+    arm_file: Path, answer: Answer, typed: Typed
+) -> None:
+    sheet = arm_file.with_name("sheet.svg")
+    told = answer("calibrate", "--sheet", sheet, "--arm", arm_file)
+    assert told == {"sheet": str(sheet), "paper": "A4", "points": str(sheet.with_suffix(".csv"))}
+    points = calibration.read_points(sheet.with_suffix(".csv"))
+    assert len(points) >= 8
+    assert {z for *_, z in points} == {0.0, 0.06}
+    assert "not overwritten" in typed("calibrate", "--sheet", sheet, "--arm", arm_file, status=1).err
+    sheet.with_suffix(".csv").unlink()
+    (own := arm_file.with_name("own.csv")).write_text("0.1,0,0\n0.2,0,0\n0.2,0.1,0.05\n")
+    assert not missing(
+        typed("calibrate", "--sheet", sheet, "--points", own, "--arm", arm_file).out, "3 points on A4", "100 %"
+    )
+    assert "--sheet draws a sheet" in typed("calibrate", "--sheet", sheet, "--sag", status=2).err
+    own.write_text("0.1,0,0\n0.2,0,0\n")
+    assert "2 different points" in typed("calibrate", "--sheet", sheet, "--points", own, status=1).err
+
+
 def test_a_calibration_is_taken_back_and_brought_back(arm_file: Path, answer: Answer, typed: Typed) -> None:
     assert not missing(typed("calibrate", "--arm", arm_file, "--undo", status=2).err, "has no history", "take back")
     for more in (["--sag"], ["--holding"], ["--out", arm_file.with_name("new.yaml")]):
