@@ -62,7 +62,17 @@ def daemon_command(output: Output, log_dir: Path | None, wait: bool) -> int:
 
 
 @command("sim")
-def sim_command(output: Output, arm: str, link: Path | None, echo: bool, factory: bool, **told: Any) -> int:
+def sim_command(
+    output: Output,
+    arm: str,
+    link: Path | None,
+    echo: bool,
+    faults_file: Path | None,
+    return_delay_us: int | None,
+    factory: bool,
+    spec_file: Path | None,
+    **told: Any,
+) -> int:
     """Simulate an arm: servos that answer the real protocol bytes on a pseudo terminal.
 
     Prints `ready PATH`; any program that drives AX-12A servos can open PATH. What can go wrong, and how FILE says so:
@@ -77,9 +87,6 @@ def sim_command(output: Output, arm: str, link: Path | None, echo: bool, factory
     from armctl.sim.spec import DEFAULT_SPEC, put_together
     from armctl.sim.twin import load_twin
 
-    faults_file, return_delay_us, spec_file = (
-        told.pop(name) for name in ("faults_file", "return_delay_us", "spec_file")
-    )
     played = load_arm(arm)
     faults: tuple[Fault, ...] = (Fault(kind="echo"),) if echo else ()
     if faults_file is not None:
