@@ -1,9 +1,10 @@
 """Whether an arm put together by hand is where it is told to be after `calibrate --holding`, and draws straight lines.
 
 Arms are drawn at random, each put together carefully, typically or poorly: zeros, lengths, twists, sensors with waves,
-brackets that bend under load, play of the horn. The program knows the arm's file alone. It moves the tip above 8 points
-of a sheet in 3 postures each; a clumsy hand presses it onto the point, 0.5 mm beside it (root mean square). What the
-servos read there is what the fit gets. The file that comes out is read anew, and the same arm is served by it.
+brackets that bend under load, play of the horn. The program knows the arm's file alone. It brings the tip near 8 points
+of a sheet, each in 3 postures, in the order in which the command asks for them; a clumsy hand presses it onto the
+point, 0.5 mm beside it (root mean square). What the servos read there is what the fit gets. The file that comes out is
+read anew, and the same arm is served by it.
 
 A tick moves the tip by 1 mm and more, so that keys alone would leave it 1 mm off. A finger turns the shafts, which the
 sensors show; what it bends behind them, a tenth of a millimetre, counts as clumsiness.
@@ -70,11 +71,14 @@ def run(trial: Trial) -> dict[str, Any]:
     rng = np.random.default_rng((trial.seed, 23))
     found: dict[str, Any] = {"seed": trial.seed, "geometry": trial.geometry, "refused": "", "faults": 0}
     arm = _Arm(trial, None, found)
-    touches: list[Touch] = []
-    while len(touches) < POINTS * POSTURES:
-        [point] = sheet(1, rng)
-        postures = range(1, POSTURES + 1)
-        touches += [touch(arm.served, point, rng) for posture in postures if arm.moved(point, posture)]
+    touches, ways, made = list[Touch](), offered(arm.served.arm, rng), list[holding.Way]()
+    while due := holding.left(ways, made, (), POSTURES):
+        way = holding.most_telling(arm.served.arm, touches, due)
+        if arm.stands((*way.q_rad, *arm.served.goals_rad[len(way.q_rad) :])):
+            touches.append(touch(arm.served, np.array(way.point_m), rng))
+            made.append(way)
+        else:
+            ways.remove(way)
     places = list(sheet(PLACES, rng))
     found["said_before_mm"], found["moved_before_mm"] = stood(arm, places)
     try:
@@ -97,23 +101,40 @@ class _Arm:
     def _begin(self) -> None:
         self.served = ServedArm(self._trial.seed, self._trial.spec, taken=self._known)
 
-    def moved(self, point: FloatArray, posture: int | None = None) -> bool:
-        """Ask for the tool there, in another posture if there is no such; whether the arm went, and stands there."""
+    def moved(self, point: FloatArray) -> bool:
+        """Ask for the tool there; whether the arm went, and stands there."""
         x, y, z = point.tolist()
-        for asked in dict.fromkeys((posture, None)):
-            went = True
-            try:
-                self.served.move(MoveRequest(point_m=(x, y, z), posture=asked))
-                self.served.wait(SETTLE_S)
-            except RequestRefused:
-                went = False
-            if self.served.looks[-1].faults:
-                self._found["faults"] += 1
-                self._begin()
-                return False
-            if went:
-                return True
-        return False
+        return self._goes(MoveRequest(point_m=(x, y, z)))
+
+    def stands(self, q: tuple[float, ...]) -> bool:
+        """Ask for a posture; whether the arm went, and stands in it."""
+        return self._goes(MoveRequest(joints_rad=q))
+
+    def _goes(self, request: MoveRequest) -> bool:
+        went = True
+        try:
+            self.served.move(request)
+            self.served.wait(SETTLE_S)
+        except RequestRefused:
+            went = False
+        if self.served.looks[-1].faults:
+            self._found["faults"] += 1
+            self._begin()
+            return False
+        return went
+
+
+def offered(arm: ArmConfig, rng: np.random.Generator) -> list[holding.Way]:
+    """Points of a sheet, and the postures above each that the command would offer."""
+    ways: list[holding.Way] = []
+    for number in range(POINTS):
+        found: list[holding.Way] = []
+        while len(found) < POSTURES:
+            [point] = sheet(1, rng)
+            x, y, z = point.tolist()
+            found = holding.ways_above(arm, [(x, y, z)], 0.0)
+        ways += [way._replace(number=number) for way in found]
+    return ways
 
 
 def sheet(count: int, rng: np.random.Generator) -> Iterator[FloatArray]:
