@@ -27,7 +27,7 @@ from armctl.host.exchange import ANSWER_S, COMMANDS, Exchange, restarting
 from armctl.host.lease import Client, Lease, Leases
 from armctl.host.snapshot import Statistics, arm_snapshot, fault_snapshots, note_words
 from armctl.host.takes import TakeRecorder, Takes
-from armctl.host.watch import Done, Leg, Watch, holds, refuse_collision, refuse_to_begin, run_name
+from armctl.host.watch import Done, Leg, Watch, holds, refuse_at_limit, refuse_collision, run_name
 from armctl.json_text import named
 from armctl.kinematics.robots.robot import Robot
 from armctl.messages import JointTrajectory, LagModel, Mode, Reply, TickRecord
@@ -255,8 +255,7 @@ class Host:
             self.exchange.forget_hold()  # a stop from now on is a new one
             if len(joints_rad_s) == len(q_now) or len(tool_m_s) == 3:
                 ahead = joints_rad_s or joint_velocities(self.robot, q_now, tool_m_s)
-                if begin:
-                    refuse_to_begin(q_now, ahead, self.arm, led=not joints_rad_s)
+                refuse_at_limit(q_now, ahead, self.arm, led=not joints_rad_s)
                 refuse_collision(q_now, ahead, self.arm, self.robot)
             await self.exchange.request(lambda request_id: messages.Jog(request_id, joints_rad_s, tool_m_s, begin))
         if not lease.lost and self.latest is not None and self.latest.outputs.mode is Mode.JOGGING:

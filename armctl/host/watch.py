@@ -90,8 +90,8 @@ def holds(arm: ArmConfig, load_ratio: Sequence[float]) -> bool:
     return gripper is not None and held >= HELD_SHARE * gripper.load_ratio
 
 
-def refuse_to_begin(q_now: Sequence[float], joints_rad_s: Sequence[float], arm: ArmConfig, led: bool) -> None:
-    """Refuse a jog that would end where it begins: what asks for it is to hear why.
+def refuse_at_limit(q_now: Sequence[float], joints_rad_s: Sequence[float], arm: ArmConfig, led: bool) -> None:
+    """Refuse a jog that would lead nowhere: what asks for it is to hear why.
 
     Args:
         led: Whether the tool is led, so that all joints wait for one that has to.

@@ -16,7 +16,7 @@ from armctl.errors import ConfigError, IllegalTransition, LogError
 from armctl.files import load_arm
 from armctl.host import host as host_module
 from armctl.host.motions import move, move_trajectory, play, run
-from armctl.host.watch import refuse_to_begin
+from armctl.host.watch import refuse_at_limit
 from armctl.kinematics import robots
 from armctl.kinematics.chain import forward_kinematics, tool_position
 from armctl.kinematics.transform import pose_from_xyz_rpy
@@ -352,10 +352,16 @@ async def test_a_jog_that_is_led_to_the_floor_says_why_it_goes_no_farther(bench:
     assert bench.arm.mode() is Mode.JOGGING
 
 
-async def test_a_jog_that_cannot_begin_names_the_joint_and_its_limit(bench: Bench) -> None:
+async def test_a_jog_that_comes_to_a_limit_or_would_begin_there_names_the_joint(bench: Bench) -> None:
     """Before, it was accepted, and the arm stood still."""
-    for tick in range(120):
-        await bench.beat(bench.anna, turn=(0.35, 0.0, 0.0, 0.0, 0.0, 0.0), begin=tick == 0)
+
+    async def turn_on() -> None:
+        for tick in range(120):
+            await bench.beat(bench.anna, turn=(0.35, 0.0, 0.0, 0.0, 0.0, 0.0), begin=tick == 0)
+
+    with refused("LIMIT", r"base stands at its limit, 145\.0 deg, and would have to turn past it; jog another way"):
+        await turn_on()
+    assert bench.arm.mode() is Mode.JOGGING, "it comes to rest as where heartbeats cease"
     await bench.until(lambda: bench.arm.mode() is Mode.HOLDING)
     goals = len(bench.arm.goals)
     with refused("LIMIT", r"base stands at its limit, 145\.0 deg, and would have to turn past it; jog another way"):
@@ -378,15 +384,19 @@ def test_a_joint_stands_at_its_limit_also_beyond_it(q_deg: float, v_rad_s: float
     arm = load_arm("ax12-line")
     q, v = [math.radians(q_deg), *REST_RAD[1:]], [v_rad_s, *[0.0] * (len(REST_RAD) - 1)]
     with refused("LIMIT", "base stands at its limit") if stands else contextlib.nullcontext():
-        refuse_to_begin(q, v, arm, led=False)
+        refuse_at_limit(q, v, arm, led=False)
     with refused("LIMIT", "base stands at its limit") if stands else contextlib.nullcontext():
-        refuse_to_begin(q, [v_rad_s, *[0.0] * (len(v) - 2), 0.2], arm, led=True)
-    refuse_to_begin(q, [v_rad_s, *[0.0] * (len(v) - 2), 0.2], arm, led=False)  # the other joint goes on
+        refuse_at_limit(q, [v_rad_s, *[0.0] * (len(v) - 2), 0.2], arm, led=True)
+    refuse_at_limit(q, [v_rad_s, *[0.0] * (len(v) - 2), 0.2], arm, led=False)  # the other joint goes on
 
 
 async def test_a_tool_is_led_nowhere_by_a_joint_at_its_limit(bench: Bench) -> None:
-    for tick in range(20):
-        await bench.beat(bench.anna, turn=(0.0, 0.2, 0.0, 0.0, 0.0, 0.0), begin=tick == 0)
+    async def lift() -> None:
+        for tick in range(20):
+            await bench.beat(bench.anna, turn=(0.0, 0.2, 0.0, 0.0, 0.0, 0.0), begin=tick == 0)
+
+    with refused("LIMIT", r"shoulder stands at its limit, 160\.0 deg"):
+        await lift()
     await bench.until(lambda: bench.arm.mode() is Mode.HOLDING)
     with refused("LIMIT", r"shoulder stands at its limit, 160\.0 deg"):
         await bench.beat(bench.anna, lead=(-0.05, 0.0, 0.0), begin=True)
