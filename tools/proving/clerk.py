@@ -44,7 +44,10 @@ WRONG_SHARE = 0.2
 LEAN_S = 4.0
 # At the default compliance 27 are 82 % of a servo's output, and 7.9 deg: not far enough to count as blocked, too hard
 # to go on. Less is nothing but a push, more is blocked. And how long the joint is held.
-LEANS = {"lean": (27, 28, LEAN_S), "strain": (27, 28, 8.0), "press": (18, 24, 8.0), "ram": (40, 80, 8.0)}
+LEANS = {
+    "lean": (27, 28, LEAN_S), "strain": (27, 28, 8.0), "press": (18, 24, 8.0), "ram": (40, 80, 8.0),
+    "aside": (18, 24, 0.1),
+}  # fmt: skip
 # What alone speaks against a motion.
 AGAINST = {"fold": "into each other", "sink": "below the floor", "sweep": "its tool reaches"}
 
@@ -113,7 +116,7 @@ class Clerk(Person):
                 yield from self._power_up(rng)
             case "lift":
                 yield from self._power_up(rng, lifted=True)
-            case "lean" | "strain" | "press" | "ram":
+            case "lean" | "strain" | "press" | "ram" | "aside":
                 yield from self._lean(rng, wish.what)
             case "fold" | "sink" | "sweep" | "dash":
                 yield from self._power_up(rng)

@@ -7,6 +7,7 @@ begins; which servo, when, how long and on which arm comes from the seed. Scenes
 import re
 import zlib
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -18,18 +19,12 @@ STANDS_S, LIFTED_S = 3.0, 10.5  # by then the arm is under torque: where it lay,
 # Those that are not played on whichever arm.
 NO_REST = "heat of an arm whose file forbids the way to rest"
 WRONG_MOTIONS = "motions that are wrong in one thing"
-
-
 # Each draws its lines and says how long it lasts [s].
 SCENES: dict[str, Callable[[Drawing], float]] = {}
 
 
 def _scene(name: str) -> Callable[[Callable[[Drawing], float]], Callable[[Drawing], float]]:
-    def enter(scene: Callable[[Drawing], float]) -> Callable[[Drawing], float]:
-        SCENES[name] = scene
-        return scene
-
-    return enter
+    return partial(SCENES.setdefault, name)
 
 
 # ---------------------------------------------------------------------------------------- torque that goes and comes
@@ -164,6 +159,15 @@ def _(d: Drawing) -> float:
     d.wish("halt", LIFTED_S)
     d.wish("park", LIFTED_S + 1.0)
     return LIFTED_S + 22.0
+
+
+@_scene("parked, and held just short of the rest pose")
+def _(d: Drawing) -> float:
+    d.wish("stand", 0.3)
+    d.wish("aside", STANDS_S)
+    d.strike("blocked_joint", STANDS_S + 4.0, (7.0, 8.0), servo_id=None)
+    d.say(("park", STANDS_S + 5.0))
+    return STANDS_S + 10.0
 
 
 @_scene("a silent servo, and a clear while it lasts")
@@ -396,5 +400,4 @@ def scene(seed: int, number: int, arm: ArmConfig) -> Story:
     """The story of a scene, the same for the same numbers."""
     drawing = Drawing(np.random.default_rng((seed, seeded(number), 21)), arm, (number - SCENES_FROM) // len(SCENES))
     duration_s = SCENES[named(number)](drawing)
-    lines = tuple(sorted(drawing.lines, key=lambda line: line.at_s))
-    return Story(int(drawing.rng.integers(2**31)), duration_s, lines)
+    return Story(int(drawing.rng.integers(2**31)), duration_s, tuple(sorted(drawing.lines, key=lambda it: it.at_s)))
