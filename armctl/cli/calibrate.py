@@ -120,6 +120,8 @@ def _draw_sheet(output: Output, file: Path, points: Path | None, *others: Any) -
 
     if any(others):
         raise click.UsageError("--sheet draws a sheet; give nothing else but --points")
+    if file.suffix != ".svg":
+        raise click.UsageError(f"--sheet draws SVG; give a name that ends in .svg, not {str(file)!r}")
     arm = output.arm
     places = calibration.read_points(points) if points else holding.sheet_points(arm, ABOVE_M)
     calibration.check_points(arm, places * 20)  # as often as each may be touched

@@ -27,10 +27,13 @@ import numpy as np
 
 from armctl.commissioning.calibration import MAX_RMS_MM, Touch, check_points, mean_ticks, recalibrated, slopes
 from armctl.config import ArmConfig, JointConfig, validate
+from armctl.control.jog import joint_velocities
 from armctl.dynamixel.ax12a import TICK_RAD
 from armctl.errors import RequestRefused, UnreachableTarget
 from armctl.kinematics import robots
 from armctl.kinematics.chain import DHRow, SerialChain, link_frames, tool_position
+from armctl.kinematics.robots.robot import Robot
+from armctl.kinematics.solution import within_limits
 from armctl.kinematics.target import point_target
 from armctl.kinematics.transform import FloatArray, rpy_from_matrix
 from armctl.kinematics.urdf_reader import table_row
@@ -46,6 +49,8 @@ TOUCH_M = 0.7e-3
 STEP, ITERATIONS = 1e-6, 5
 # Of a point, those nearest to the rest pose: among more, there are some in which arms bend as no table tells.
 POSTURES = 7
+# How the tip is led down by keys, and how near to a point it has to come by them.
+LED_M, NEAR_M = 1e-3, 8e-3
 # Where points of a sheet of A4 are, and how high a box is.
 AHEAD_M, ASIDE_M, BOX_M = (0.085, 0.135, 0.185, 0.235), (-0.085, 0.0, 0.085), 0.06
 # No assembly is off by more standard deviations; the hand of a poor one bends by nearly 7.
@@ -95,19 +100,31 @@ class Way(NamedTuple):
 
 
 def ways_above(arm: ArmConfig, points_m: Sequence[Point], up_m: float) -> list[Way]:
-    """Postures in which the arm can stand with its tool so far above each point; none of a point out of reach.
+    """Postures in which the arm can stand with its tool so far above each point, and from which keys lead it down.
 
-    Of each point there are at most `POSTURES`, those nearest to the rest pose.
+    Of each point there are at most `POSTURES`, those nearest to the rest pose; of one out of reach there are none.
     """
     on, ways = DrivenArm(arm, robots.of(arm), 1.0), list[Way]()
     rest_rad = [joint.rest_rad for joint in arm.joints]
+    limits_rad = np.array([joint.limits_rad for joint in arm.joints[: on.robot.chain.n]])
     for number, point_m in enumerate(points_m, 1):
         T = point_target(np.add(point_m, (0.0, 0.0, up_m))).T
         with suppress(UnreachableTarget):
             found = postures_at(T, rest_rad, on, turned=False)
             free = [q[: on.robot.chain.n] for q in found if not preflight_motion(np.array([q, q]), on)]
-            ways += [Way(number, point_m, k, tuple(q)) for k, q in enumerate(free[:POSTURES])]
+            led = [q for q in free if _leads_down(on.robot, q, up_m, limits_rad)]
+            ways += [Way(number, point_m, k, tuple(q)) for k, q in enumerate(led[:POSTURES])]
     return ways
+
+
+def _leads_down(robot: Robot, q: Sequence[float], up_m: float, limits_rad: FloatArray) -> bool:
+    """Whether keys lead the tip straight down so far, millimetre by millimetre, and no joint comes to its limit."""
+    below_m = tool_position(robot.chain, np.array(q))[2] - up_m
+    for _ in range(round(up_m / LED_M)):
+        q = np.add(q, joint_velocities(robot, q, (0.0, 0.0, -LED_M))).tolist()
+        if not within_limits(np.array(q), limits_rad):
+            return False
+    return bool(tool_position(robot.chain, np.array(q))[2] - below_m <= NEAR_M)
 
 
 def sheet_points(arm: ArmConfig, up_m: float) -> list[Point]:

@@ -262,7 +262,7 @@ def test_calibrate_holding_moves_above_each_point_and_is_led_onto_it(
     monkeypatch.setattr(client, "Client", Standing)
     monkeypatch.setattr(calibrate, "by_keys", by_keys)
     monkeypatch.setattr(sys, "stdin", person(lambda: "\n"))
-    (points := arm_file.with_name("points.csv")).write_text("0.15,0,0\n0.2,0,0\n0.9,0,0\n0.2,0.1,0\n0.2,-0.1,0.05\n")
+    (points := arm_file.with_name("points.csv")).write_text("0.235,0,0\n0.2,0,0\n0.9,0,0\n0.2,0.1,0\n0.2,-0.1,0.05\n")
     saved = arm_file.with_name("kept.yaml")
     words = ("calibrate", "--arm", arm_file, "--points", points, "--holding", "--save-readings", saved)
     assert not missing(
@@ -326,6 +326,7 @@ def test_a_sheet_of_points_is_drawn_for_an_arm_and_has_its_points_beside_it(
     assert not missing(
         typed("calibrate", "--sheet", sheet, "--points", own, "--arm", arm_file).out, "3 points on A4", "100 %"
     )
+    assert "ends in .svg" in typed("calibrate", "--sheet", arm_file.with_name("x.csv"), status=2).err
     assert "--sheet draws a sheet" in typed("calibrate", "--sheet", sheet, "--sag", status=2).err
     own.write_text("0.1,0,0\n0.2,0,0\n")
     assert "2 different points" in typed("calibrate", "--sheet", sheet, "--points", own, status=1).err
