@@ -9,9 +9,9 @@ Rules.
    relieved: its goal becomes where it is. One that stands, while others move or not, and to one goal gives
    `PUSH_RATIO` more output than the middle of what gravity explains, and `FRICTION_RATIO` more than all of it, for
    2 s, is a fault, CONTACT (see detect.py), and relieved too.
-3. What comes back after a relief is a weight, such as a load in the gripper: from then on gravity explains that as
-   well, for as long as it is felt. So no joint is relieved twice for it, and gravity walks no arm down. What a standing
-   joint feels no more was no weight, or is put down: a hand pulls like one.
+3. What comes back after a relief is a weight, such as a load in the gripper, unless the joint was led on since: from
+   then on gravity explains that as well, for as long as it is felt. So no joint is relieved twice for it, and gravity
+   walks no arm down. What a standing joint feels no more was no weight, or is put down: a hand pulls like one.
 4. A servo of a limp arm to which another program gave torque keeps its torque, but not a goal that it pushes towards,
    which becomes where it is, again and again.
 """

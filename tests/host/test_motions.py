@@ -321,13 +321,15 @@ async def test_a_heartbeat_that_is_under_way_when_its_client_leaves_moves_nothin
     goes_no_farther(bench, goals)
 
 
-async def test_a_jog_that_leads_links_into_each_other_is_refused(bench: Bench) -> None:
-    async def fold() -> None:
-        for tick in range(100):
-            await bench.beat(bench.anna, turn=(0.0, 0.0, 0.0, 0.35, 0.35, 0.0), begin=tick == 0)
+async def beats(bench: Bench, count: int, turn: tuple[float, ...]) -> None:
+    """A jog of the joints, so many heartbeats long."""
+    for k in range(count):
+        await bench.beat(bench.anna, turn=turn, begin=k == 0)
 
+
+async def test_a_jog_that_leads_links_into_each_other_is_refused(bench: Bench) -> None:
     with refused("PREFLIGHT", "would touch"):
-        await fold()
+        await beats(bench, 100, (0.0, 0.0, 0.0, 0.35, 0.35, 0.0))
     goals = len(bench.arm.goals)
     bench.ticks(7)
     goes_no_farther(bench, goals)  # the arm stops, as where heartbeats cease
@@ -337,16 +339,10 @@ async def test_a_jog_that_leads_links_into_each_other_is_refused(bench: Bench) -
 async def test_a_jog_that_is_led_to_the_floor_says_why_it_goes_no_farther(bench: Bench) -> None:
     """Before, it was accepted for as long as somebody asked, and the arm stood still."""
     down, up = (0.0, -0.35, 0.0, 0.0, 0.0, 0.0), (0.0, 0.35, 0.0, 0.0, 0.0, 0.0)
-
-    async def sink() -> None:
-        for tick in range(400):
-            await bench.beat(bench.anna, turn=down, begin=tick == 0)
-
-    for tick in range(40):
-        await bench.beat(bench.anna, turn=(0.0, 0.0, 0.35, 0.0, 0.0, 0.0), begin=tick == 0)
+    await beats(bench, 40, (0.0, 0.0, 0.35, 0.0, 0.0, 0.0))
     await bench.until(lambda: bench.arm.mode() is Mode.HOLDING)
     with refused("PREFLIGHT", "the arm is at the floor, and would go below it; jog another way"):
-        await sink()
+        await beats(bench, 400, down)
     await bench.until(lambda: bench.arm.mode() is Mode.HOLDING)
     await bench.beat(bench.anna, turn=up, begin=True)
     assert bench.arm.mode() is Mode.JOGGING
@@ -355,12 +351,8 @@ async def test_a_jog_that_is_led_to_the_floor_says_why_it_goes_no_farther(bench:
 async def test_a_jog_that_comes_to_a_limit_or_would_begin_there_names_the_joint(bench: Bench) -> None:
     """Before, it was accepted, and the arm stood still."""
 
-    async def turn_on() -> None:
-        for tick in range(120):
-            await bench.beat(bench.anna, turn=(0.35, 0.0, 0.0, 0.0, 0.0, 0.0), begin=tick == 0)
-
     with refused("LIMIT", r"base stands at its limit, 145\.0 deg, and would have to turn past it; jog another way"):
-        await turn_on()
+        await beats(bench, 120, (0.35, 0.0, 0.0, 0.0, 0.0, 0.0))
     assert bench.arm.mode() is Mode.JOGGING, "it comes to rest as where heartbeats cease"
     await bench.until(lambda: bench.arm.mode() is Mode.HOLDING)
     goals = len(bench.arm.goals)
@@ -391,12 +383,8 @@ def test_a_joint_stands_at_its_limit_also_beyond_it(q_deg: float, v_rad_s: float
 
 
 async def test_a_tool_is_led_nowhere_by_a_joint_at_its_limit(bench: Bench) -> None:
-    async def lift() -> None:
-        for tick in range(20):
-            await bench.beat(bench.anna, turn=(0.0, 0.2, 0.0, 0.0, 0.0, 0.0), begin=tick == 0)
-
     with refused("LIMIT", r"shoulder stands at its limit, 160\.0 deg"):
-        await lift()
+        await beats(bench, 20, (0.0, 0.2, 0.0, 0.0, 0.0, 0.0))
     await bench.until(lambda: bench.arm.mode() is Mode.HOLDING)
     with refused("LIMIT", r"shoulder stands at its limit, 160\.0 deg"):
         await bench.beat(bench.anna, lead=(-0.05, 0.0, 0.0), begin=True)
