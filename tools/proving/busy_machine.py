@@ -20,6 +20,7 @@ from mcap.exceptions import EndOfFile
 from mcap.records import Message
 from mcap.stream_reader import StreamReader
 
+from armctl.client import Client
 from armctl.errors import ArmctlError
 from proving.jitter_bench import busy
 from proving.rig import Rig, hold, rig
@@ -27,7 +28,8 @@ from proving.rig import Rig, hold, rig
 HOURS = 2.0
 HOGS = 4
 SYNC_S = 2.0
-PATIENCE_S = 30.0
+# A motion is answered once its recording is complete, which waits for the disk some times.
+PATIENCE_S = 60.0
 SWING_S = 3.0
 SWING_DEG = ((-20.0, 130.0, -115.0, 60.0, 0.0, 0.0), (20.0, 130.0, -115.0, 60.0, 0.0, 0.0))
 NEAR_RAD = math.radians(10.0)
@@ -60,21 +62,23 @@ def watch(seed: int, hours: float = HOURS, tell: Callable[[str], None] = lambda 
         hogs.enter_context(busy(HOGS, seconds + PATIENCE_S))
         with rig(seed=seed) as running:
             running.stop_watching()
-            hold(running.client, PATIENCE_S)
-            control = running.client.call("status")["pids"]["control"]
+            client = hogs.enter_context(Client(running.socket, timeout_s=PATIENCE_S))
+            hold(client, PATIENCE_S)
+            control = client.call("status")["pids"]["control"]
             begin_s = told_s = time.monotonic()
             while (now_s := time.monotonic()) - begin_s < seconds:
                 goal = [math.radians(q) for q in SWING_DEG[motions % 2]]
                 motions += 1
                 try:
-                    running.client.call("move", joints_rad=goal, duration_s=SWING_S)
+                    client.call("move", joints_rad=goal, duration_s=SWING_S)
                 except ArmctlError as error:
                     violations.append(f"motion {motions} after {now_s - begin_s:.0f} s: {error}")
-                    hold(running.client, PATIENCE_S)
+                    tell(violations[-1])
+                    hold(client, PATIENCE_S)
                 truth = running.simulator.state()["joints_rad"]
                 if max(abs(q - wanted) for q, wanted in zip(truth, goal, strict=True)) > NEAR_RAD:
                     violations.append(f"motion {motions} ended elsewhere")
-                if (pid := running.client.call("status")["pids"]["control"]) != control:
+                if (pid := client.call("status")["pids"]["control"]) != control:
                     violations.append(f"control process {control} was replaced by {pid}")
                     control = pid
                 if now_s - told_s >= TELL_EVERY_S:
