@@ -7,7 +7,6 @@ begins; which servo, when, how long and on which arm comes from the seed. Scenes
 import re
 import zlib
 from collections.abc import Callable
-from functools import partial
 
 import numpy as np
 
@@ -23,32 +22,39 @@ WRONG_MOTIONS = "motions that are wrong in one thing"
 SCENES: dict[str, Callable[[Drawing], float]] = {}
 
 
-def _scene(name: str) -> Callable[[Callable[[Drawing], float]], Callable[[Drawing], float]]:
-    return partial(SCENES.setdefault, name)
+def _scene(name: str, begin: str = "") -> Callable[[Callable[[Drawing], float]], None]:
+    """A scene for a function that draws what comes once the arm stands, or is lifted; `begin` says which of these."""
+
+    def enter(draw: Callable[[Drawing], float]) -> None:
+        def drawn(d: Drawing) -> float:
+            if begin:
+                d.wish(begin, 0.3)
+            return draw(d)
+
+        SCENES[name] = drawn
+
+    return enter
 
 
 # ---------------------------------------------------------------------------------------- torque that goes and comes
 
 
-@_scene("a servo misses that the arm is let go")
+@_scene("a servo misses that the arm is let go", "stand")
 def _(d: Drawing) -> float:
-    d.wish("stand", 0.3)
     at_s = d.strike("mute", STANDS_S, (0.2, 0.4))
     d.lines.append(Word(round(at_s + 0.01, 4), d.either("release", "teach"), d.number()))
     return STANDS_S + 3.0
 
 
-@_scene("a servo is not heard for long while the arm is let go")
+@_scene("a servo is not heard for long while the arm is let go", "stand")
 def _(d: Drawing) -> float:
-    d.wish("stand", 0.3)
     at_s = d.strike("mute", STANDS_S, (1.0, 2.0))
     d.lines.append(Word(round(at_s + 0.01, 4), "release", d.number()))
     return STANDS_S + 4.0
 
 
-@_scene("what lets the arm go comes damaged")
+@_scene("what lets the arm go comes damaged", "stand")
 def _(d: Drawing) -> float:
-    d.wish("stand", 0.3)
     d.garble(STANDS_S, 1.0, 0.6, d.either("dropped", "flipped"))
     d.say((d.either("release", "teach"), STANDS_S + 0.1))
     return STANDS_S + 4.0
@@ -78,9 +84,8 @@ def _(d: Drawing) -> float:
     return 6.0
 
 
-@_scene("a servo restarts while nobody is in charge")
+@_scene("a servo restarts while nobody is in charge", "stand")
 def _(d: Drawing) -> float:
-    d.wish("stand", 0.3)
     d.lines.append(Kill(d.within(STANDS_S), int(d.rng.integers(3)), 1.5))
     d.strike("brown_out", STANDS_S + 0.5, (0.02, 0.1), (5.0, 9.0))
     return STANDS_S + 5.0
@@ -96,100 +101,88 @@ def _(d: Drawing) -> float:
 # --------------------------------------------------------------------------------------------------- the way to rest
 
 
-@_scene("heat, and a clear while it lasts")
+@_scene("heat, and a clear while it lasts", "lift")
 def _(d: Drawing) -> float:
-    d.wish("lift", 0.3)
     d.heat(LIFTED_S)
     d.say(("clear", LIFTED_S + 2.6), ("clear", LIFTED_S + 4.0), ("clear", LIFTED_S + 7.0))
     return LIFTED_S + 9.0
 
 
-@_scene("heat, and a stop on the way to rest")
+@_scene("heat, and a stop on the way to rest", "lift")
 def _(d: Drawing) -> float:
-    d.wish("lift", 0.3)
     d.heat(LIFTED_S, (3.0, 5.0))
     d.say(("hold", LIFTED_S + float(d.either("3.0", "7.0"))))
     return LIFTED_S + 14.0
 
 
-@_scene(NO_REST)
+@_scene(NO_REST, "lift")
 def _(d: Drawing) -> float:
-    d.wish("lift", 0.3)
     d.heat(LIFTED_S, (3.0, 5.0))
     return LIFTED_S + 8.0
 
 
-@_scene("the supply is too low")
+@_scene("the supply is too low", "lift")
 def _(d: Drawing) -> float:
-    d.wish("lift", 0.3)
     one = d.one if d.either("one", "all") == "one" else None
     d.strike("brown_out", LIFTED_S, (3.0, 5.0), (5.0, 8.3), one, probability=0.0)
     d.say(("clear", LIFTED_S + 1.5))
     return LIFTED_S + 7.0
 
 
-@_scene("short dips of the supply")
+@_scene("short dips of the supply", "lift")
 def _(d: Drawing) -> float:
-    d.wish("lift", 0.3)
     for k in range(3):
         d.strike("brown_out", LIFTED_S + 2.0 * k, (0.05, 0.4), (5.0, 8.3), None, probability=0.0)
     return LIFTED_S + 9.0
 
 
-@_scene("an obstacle, or another program, on the way to rest")
+@_scene("an obstacle, or another program, on the way to rest", "lift")
 def _(d: Drawing) -> float:
-    d.wish("lift", 0.3)
     d.heat(LIFTED_S, (3.0, 5.0), d.other)
     kind = d.either("blocked_joint", "trip", "second_writer")
     d.strike(kind, LIFTED_S + 5.6, (2.0, 3.0), (30.0, 60.0) if kind == "second_writer" else None)
     return LIFTED_S + 12.0
 
 
-@_scene("a servo falls silent on the way to rest")
+@_scene("a servo falls silent on the way to rest", "lift")
 def _(d: Drawing) -> float:
-    d.wish("lift", 0.3)
     d.heat(LIFTED_S, (3.0, 5.0), d.other)
     d.strike("mute", LIFTED_S + 5.6, (1.5, 2.0))
     return LIFTED_S + 12.0
 
 
-@_scene("parked, and halted on the way")
+@_scene("parked, and halted on the way", "lift")
 def _(d: Drawing) -> float:
-    d.wish("lift", 0.3)
     d.wish("halt", LIFTED_S)
     d.wish("park", LIFTED_S + 1.0)
     return LIFTED_S + 22.0
 
 
-@_scene("parked, and held just short of the rest pose")
+@_scene("parked, and held just short of the rest pose", "stand")
 def _(d: Drawing) -> float:
-    d.wish("stand", 0.3)
     d.wish("aside", STANDS_S)
     d.strike("blocked_joint", STANDS_S + 4.0, (7.0, 8.0), servo_id=None)
     d.say(("park", STANDS_S + 5.0))
     return STANDS_S + 10.0
 
 
-@_scene("a silent servo, and a clear while it lasts")
+@_scene("a silent servo, and a clear while it lasts", "stand")
 def _(d: Drawing) -> float:
-    d.wish("stand", 0.3)
     d.strike("mute", STANDS_S, (3.0, 4.0))
     d.say(("clear", STANDS_S + 1.2), ("clear", STANDS_S + 2.2))
     return STANDS_S + 6.0
 
 
-@_scene("two servos are silent at once")
+@_scene("two servos are silent at once", "stand")
 def _(d: Drawing) -> float:
-    d.wish("stand", 0.3)
     d.say(("run", STANDS_S))
     for servo_id in (d.one, d.other):
         d.strike("mute", STANDS_S + 1.0, (1.5, 2.0), servo_id=servo_id)
     return STANDS_S + 4.0
 
 
-@_scene("one fault behind another")
+@_scene("one fault behind another", "stand")
 def _(d: Drawing) -> float:
-    d.wish("stand", 0.3)
     d.strike("second_writer", STANDS_S, (0.3, 0.6), (20.0, 60.0))
     if d.either("hot", "mute") == "hot":
         d.heat(STANDS_S + 0.8, (3.0, 5.0), d.other)
@@ -198,9 +191,8 @@ def _(d: Drawing) -> float:
     return STANDS_S + 5.0
 
 
-@_scene("whatever is asked for while a fault is latched")
+@_scene("whatever is asked for while a fault is latched", "stand")
 def _(d: Drawing) -> float:
-    d.wish("stand", 0.3)
     d.strike("mute", STANDS_S, (1.0, 1.2))
     if d.either("holds", "limp") == "limp":
         d.lines[0] = Wish(0.3, "release", d.number())
@@ -208,25 +200,22 @@ def _(d: Drawing) -> float:
     return STANDS_S + 4.0
 
 
-@_scene("the adapter is pulled out of a moving arm")
+@_scene("the adapter is pulled out of a moving arm", "stand")
 def _(d: Drawing) -> float:
-    d.wish("stand", 0.3)
     d.say(("run", STANDS_S))
     d.strike("unplug", STANDS_S + 1.0, (0.3, 2.0), servo_id=None)
     d.say(("clear", STANDS_S + 5.0))
     return STANDS_S + 7.0
 
 
-@_scene("a servo restarts, or trips")
+@_scene("a servo restarts, or trips", "stand")
 def _(d: Drawing) -> float:
-    d.wish("stand", 0.3)
     d.strike(d.either("brown_out", "trip"), STANDS_S + 0.5, (0.02, 0.1), (5.0, 9.0))
     return STANDS_S + 4.0
 
 
-@_scene("a servo trips, or restarts, while the arm moves")
+@_scene("a servo trips, or restarts, while the arm moves", "stand")
 def _(d: Drawing) -> float:
-    d.wish("stand", 0.3)
     d.say(("run", STANDS_S))
     d.strike(d.either("trip", "brown_out"), STANDS_S + 1.5, (0.05, 0.1), (5.0, 9.0))
     return STANDS_S + 5.0
@@ -235,87 +224,76 @@ def _(d: Drawing) -> float:
 # -------------------------------------------------------------------------------- goals that are not there, and pushing
 
 
-@_scene("one goal from elsewhere")
+@_scene("one goal from elsewhere", "lift")
 def _(d: Drawing) -> float:
-    d.wish("lift", 0.3)
     for k, value in enumerate(((5.0, 60.0), (80.0, 250.0))):
         d.strike("second_writer", LIFTED_S + 6.0 * k, (0.02, 0.05), value)
     return LIFTED_S + 11.0
 
 
-@_scene("a servo that is not heard is led far off")
+@_scene("a servo that is not heard is led far off", "lift")
 def _(d: Drawing) -> float:
-    d.wish("lift", 0.3)
     at_s = d.strike("mute", LIFTED_S, (2.5, 3.5))
     d.strike("second_writer", at_s + 0.02, (0.02, 0.05), (150.0, 250.0))
     return LIFTED_S + 7.0
 
 
-@_scene("goals from elsewhere go on")
+@_scene("goals from elsewhere go on", "lift")
 def _(d: Drawing) -> float:
-    d.wish("lift", 0.3)
     d.strike("second_writer", LIFTED_S, (2.0, 4.0), (5.0, 60.0))
     return LIFTED_S + 7.0
 
 
-@_scene("another program leads a joint that is held")
+@_scene("another program leads a joint that is held", "lift")
 def _(d: Drawing) -> float:
-    d.wish("lift", 0.3)
     d.strike("blocked_joint", LIFTED_S, (7.0, 7.5))
     d.strike("second_writer", LIFTED_S + 0.2, (6.0, 6.5), (60.0, 120.0))
     return LIFTED_S + 8.0
 
 
-@_scene("goals are lost while the arm moves")
+@_scene("goals are lost while the arm moves", "stand")
 def _(d: Drawing) -> float:
-    d.wish("stand", 0.3)
     d.say(("run", STANDS_S))
     d.garble(STANDS_S + 0.5, 6.0, float(d.rng.uniform(0.2, 0.4)), "dropped")
     return STANDS_S + 8.0
 
 
-@_scene("a joint is blocked on its way")
+@_scene("a joint is blocked on its way", "lift")
 def _(d: Drawing) -> float:
-    d.wish("lift", 0.3)
     d.say(("run", LIFTED_S))
     d.strike("blocked_joint", LIFTED_S + 0.5, (6.0, 7.0))
     return LIFTED_S + 8.0
 
 
-@_scene("a joint is blocked, and its relief comes damaged")
+@_scene("a joint is blocked, and its relief comes damaged", "stand")
 def _(d: Drawing) -> float:
-    d.wish("stand", 0.3)
     d.wish("ram", STANDS_S)
     d.garble(STANDS_S + 0.4, 1.6, 0.5, "dropped")
     return STANDS_S + 7.0
 
 
-@_scene("a joint is held, and the arm leans on it")
+@_scene("a joint is held, and the arm leans on it", "stand")
 def _(d: Drawing) -> float:
-    d.wish("stand", 0.3)
     d.wish("press", STANDS_S)
     return STANDS_S + 7.0
 
 
-@_scene("a joint is held, and the arm strains against it")
+@_scene("a joint is held, and the arm strains against it", "stand")
 def _(d: Drawing) -> float:
-    d.wish("stand", 0.3)
     for k in range(3):
         d.wish("strain", STANDS_S + 14.0 * k)
     return STANDS_S + 42.0
 
 
-@_scene("an arm that leans is stopped")
+@_scene("an arm that leans is stopped", "stand")
 def _(d: Drawing) -> float:
-    d.wish("stand", 0.3)
     d.wish("ram", STANDS_S)
     d.say(("hold", STANDS_S + float(d.rng.uniform(0.65, 0.75))))
     return STANDS_S + 5.0
 
 
-@_scene("a tick comes late while the arm moves")
+@_scene("a tick comes late while the arm moves", "stand")
 def _(d: Drawing) -> float:
-    d.wish("stand", 0.3)
     for k in range(4):
         at_s = STANDS_S + 3.0 * k
         d.say(("run", at_s))
@@ -323,26 +301,23 @@ def _(d: Drawing) -> float:
     return STANDS_S + 12.0
 
 
-@_scene("a moving arm is paused, and its host falls silent and dies")
+@_scene("a moving arm is paused, and its host falls silent and dies", "stand")
 def _(d: Drawing) -> float:
-    d.wish("stand", 0.3)
     d.say(("run", STANDS_S), ("host_silent", STANDS_S + 1.2))
     d.say(("run", STANDS_S + 3.0), ("pause", STANDS_S + 4.0), ("resume", STANDS_S + 5.0))
     d.lines.append(HostGone(d.within(STANDS_S + 5.8), 0.5))
     return STANDS_S + 9.0
 
 
-@_scene("runs that no host has looked at")
+@_scene("runs that no host has looked at", "stand")
 def _(d: Drawing) -> float:
-    d.wish("stand", 0.3)
     for k in range(8):
         d.say((("nonsense", "elsewhere")[k % 2], STANDS_S + 0.3 * k))
     return STANDS_S + 4.0
 
 
-@_scene("a program takes over an arm that moves")
+@_scene("a program takes over an arm that moves", "stand")
 def _(d: Drawing) -> float:
-    d.wish("stand", 0.3)
     d.say(("run", STANDS_S))
     d.lines.append(Kill(d.within(STANDS_S + 1.5), int(d.rng.integers(6)), 0.5))
     return STANDS_S + 4.0
@@ -355,25 +330,22 @@ def _(d: Drawing) -> float:
     return 3.0
 
 
-@_scene(WRONG_MOTIONS)
+@_scene(WRONG_MOTIONS, "lift")
 def _(d: Drawing) -> float:
-    d.wish("lift", 0.3)
     for k, what in enumerate(("sink", "sweep", "dash", "fold")):
         d.wish(what, LIFTED_S + 0.3 * k)
     return LIFTED_S + 2.0
 
 
-@_scene("motions that nobody has looked at")
+@_scene("motions that nobody has looked at", "lift")
 def _(d: Drawing) -> float:
-    d.wish("lift", 0.3)
     for at_s in (LIFTED_S, LIFTED_S + 0.1):
         d.wish("plan", at_s)
     return LIFTED_S + 20.0
 
 
-@_scene("a jog")
+@_scene("a jog", "lift")
 def _(d: Drawing) -> float:
-    d.wish("lift", 0.3)
     d.wish("jog", LIFTED_S)
     d.wish("jog", LIFTED_S + 4.0)
     return LIFTED_S + 12.0

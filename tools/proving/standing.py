@@ -17,8 +17,9 @@
 import math
 from collections.abc import Iterator, Mapping, Sequence, Set
 
-from proving.duties import OVER_S, RECOVERING_S, SILENT, STRAYS, WORLD_STEP_S
+from proving.duties import SILENT, WORLD_STEP_S
 from proving.evidence import Servo, Strain
+from proving.excuses import OVER_S, RECOVERING_S, STRAYS
 from proving.pairs import PairWatch
 from proving.reading import ANNOUNCED_S, FULL_LIMIT, HOLDING, LIMP, OFF, POWERED, RESTING, STARTING, TICK_DEG, Arm
 from proving.shafts import STILL_TICKS, ShaftJudge

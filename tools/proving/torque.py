@@ -3,8 +3,8 @@
 import math
 from collections.abc import Sequence
 
-from proving.duties import GARBLES
 from proving.evidence import Servo
+from proving.excuses import GARBLES
 from proving.reading import ENERGISING, FULL_LIMIT, PARKING, RESTING, TICK_DEG, Arm
 from proving.shafts import CORRECTION_DEG, NOISE_TICKS
 from proving.standing import StandingJudge
