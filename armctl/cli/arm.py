@@ -1,12 +1,10 @@
 """Commands that look at the arm or change what it does now."""
 
-from __future__ import annotations
-
 import math
 import time
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -14,11 +12,9 @@ from armctl.cli.output import HOLDS, SOCKET, Output, command, millimetres
 from armctl.cli.parameters import tables
 from armctl.cli.screen import Screen, filled
 from armctl.cli.tables import joint_cells, show_rows, table_lines
+from armctl.client import Client
 from armctl.errors import NoDaemon
 from armctl.files import served_socket
-
-if TYPE_CHECKING:
-    from armctl.client import Client
 
 
 @command("status", SOCKET)
@@ -51,17 +47,13 @@ def watch_command(output: Output) -> None:
     Example: armctl watch
     """
     with output.client() as client, suppress(KeyboardInterrupt):
-        snapshots = client.subscribe()
-        if output.json:
-            for snapshot in snapshots:
-                output.result(snapshot)
-        elif output.console.is_terminal:
-            for snapshot in snapshots:
+        for index, snapshot in enumerate(client.subscribe()):
+            if output.result(snapshot):
+                continue
+            if output.console.is_terminal:
                 output.console.draw(picture(snapshot, output.console))
-        else:
-            for index, snapshot in enumerate(snapshots):
-                if index % max(1, round(1.0 / snapshot["period_s"])) == 0:
-                    print(_line(snapshot), flush=True)
+            elif index % max(1, round(1.0 / snapshot["period_s"])) == 0:
+                print(_line(snapshot), flush=True)
 
 
 # Characters that show where a joint is between its limits.

@@ -1,7 +1,5 @@
 """`armctl experiment`: the paper's experiments on this arm, or on a virtual one."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import click

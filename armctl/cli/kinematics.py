@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from armctl.cli.output import F, Output, command
+from armctl.cli.output import Output, command
 from armctl.cli.tables import show_rows, show_table
 from armctl.errors import ConfigError
 from armctl.files import find_arm_file, load_arm
@@ -22,27 +23,24 @@ if TYPE_CHECKING:
     from armctl.kinematics.transform import FloatArray
 
 
-def robot_option(function: F) -> F:
+def robot_option(function: Callable[..., object]) -> Callable[..., object]:
     """For commands with `--robot` and `--set`, which receive the `Robot` as their second argument."""
 
     @functools.wraps(function)
     def on_robot(output: Output, robot_name: str, lengths: tuple[tuple[str, float], ...], **given: Any) -> object:
         return function(output, _robot(robot_name).with_lengths(dict(lengths)), **given)
 
-    return on_robot  # type: ignore[return-value]  # what click calls has other parameters
+    return on_robot
 
 
 def _robot(name: str) -> Robot:
     """A robot by its name, or that of an arm or its file."""
     from armctl.kinematics import robots
 
-    if name not in robots.names():
-        try:
-            find_arm_file(name)
-        except ConfigError:
-            return robots.get(name)  # says which there are
-        return robots.of(load_arm(name))
-    return robots.get(name)
+    file = None
+    with suppress(ConfigError):  # of what is neither, `get` says which there are
+        file = None if name in robots.names() else find_arm_file(name)
+    return robots.get(name) if file is None else robots.of(load_arm(name))
 
 
 @command("robots")
@@ -226,7 +224,6 @@ def _target(
         return point_target(xyz)
     if pose is not None:
         return pose_target(pose_from_xyz_rpy(*pose[:3], *(map(math.radians, pose[3:]) if deg else pose[3:])))
-    assert matrix is not None
     return pose_target(np.array(matrix).reshape(4, 4))
 
 

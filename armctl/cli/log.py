@@ -1,26 +1,23 @@
 """Commands on logs: a folder of them, and one file. No daemon is needed."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from functools import partial
 from os.path import basename
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from armctl.cli.output import CONFIG, Output, command
 from armctl.cli.tables import show_rows
 from armctl.files import logs_dir
-
-if TYPE_CHECKING:
-    from armctl.recording.index import Index
+from armctl.recording import search
+from armctl.recording.index import Index
 
 Row = dict[str, Any]
-Ask = Callable[["Index"], list[Row]]
+Ask = Callable[[Index], list[Row]]
 
 
 @click.group("log")
@@ -38,8 +35,6 @@ def _answer(
     output: Output, folder: Path | None, key: str, table: str, ask: Ask, shown: Callable[[Row], Row] = dict
 ) -> None:
     """What is asked of the index of a folder, brought up to date; None: the folder of the daemon."""
-    from armctl.recording.index import Index
-
     with Index(folder or logs_dir(output.config_file)) as index:
         index.catch_up()
         if index.unread:
@@ -54,7 +49,6 @@ def log_list(output: Output, log_dir: Path | None) -> None:
 
     Example: armctl log list
     """
-    from armctl.recording import search
 
     def shown(row: Row) -> Row:
         return row | {"name": basename(row["path"]), "told": " ".join(_told(row))}
@@ -77,7 +71,6 @@ def log_find(output: Output, expression: tuple[str, ...], log_dir: Path | None) 
 
     Example: armctl log find code:TRIPPED servo:3 after:2025-06-01
     """
-    from armctl.recording import search
 
     def shown(row: Row) -> Row:
         return row | {"name": basename(row["log"]), "time": f"{row['time']:.19}"}
@@ -91,8 +84,6 @@ def log_stats(output: Output, period: str, log_dir: Path | None) -> None:
 
     Example: armctl log stats --by month
     """
-    from armctl.recording import search
-
     _answer(output, log_dir, "rows", "stats", partial(search.stats, period=period))
 
 

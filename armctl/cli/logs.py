@@ -11,11 +11,11 @@ from armctl.cli.keys import keys
 from armctl.cli.output import Output, command, kept_option
 from armctl.cli.screen import Screen, filled
 from armctl.cli.tables import QUANTITIES, joint_cells, number, table_lines
+from armctl.clock import Clock, MonotonicClock
 from armctl.errors import ArmctlError
+from armctl.recording.player import Player, Wait, play
 
 if TYPE_CHECKING:
-    from armctl.clock import Clock
-    from armctl.recording.player import Player, Wait
     from armctl.recording.replay import ReplayResult
     from armctl.recording.timeline import Timeline
 
@@ -56,8 +56,6 @@ def replay_command(output: Output, log: Path, check: bool, allow_gaps: bool, rep
         if not output.json:
             output.say(f"report: {report}")
     if not output.result(answer) and not check and report is None:
-        from armctl.clock import MonotonicClock
-
         timeline = loaded(output, log)
         with keys(sys.stdin) as pressed:
             _watch(output, timeline, pressed.wait, MonotonicClock(), **shown)
@@ -122,8 +120,6 @@ def _onto_sim(output: Output, log: Path, foreign: bool, seed: int) -> int:
 def _watch(
     output: Output, timeline: Timeline, wait: Wait, clock: Clock, *, rate: float, start_s: float, loop: bool
 ) -> None:
-    from armctl.recording.player import Player, play
-
     if start_s > timeline.duration_s:
         raise ArmctlError(f"--start {start_s:g}: {timeline.path} lasts {timeline.duration_s:.1f} s; begin earlier")
     player = Player(timeline.duration_s, rate=rate, loop=loop, at_s=start_s)

@@ -16,10 +16,11 @@ from datetime import timedelta
 from functools import cached_property
 from pathlib import Path
 from threading import Event, Thread
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import click
 
+import armctl.client
 from armctl.cli.keys import attended
 from armctl.cli.parameters import parameter, parameters, tables
 from armctl.cli.screen import Screen, filled
@@ -27,15 +28,12 @@ from armctl.errors import ArmctlError, ConfigError, LogError, NoDaemon, RequestR
 from armctl.files import calibration_dirs, load_arm, load_config, served_socket
 
 if TYPE_CHECKING:
-    from armctl.client import Client
     from armctl.config import ArmConfig, Config
 
 Point = tuple[float, float, float]
 # What a Ctrl-C leaves behind during a motion: its client is gone, and the daemon stops the arm.
 HOLDS = "the arm slows down on its path and holds there; `armctl status` shows it"
 RECORDED = ", and what was recorded is kept"
-
-F = TypeVar("F", bound=Callable[..., Any])
 
 
 class Output:
@@ -55,11 +53,9 @@ class Output:
         self.baud: int | None = None
         self.link: Path | None = None
 
-    def client(self, socket: str | None = None, **options: Any) -> Client:
+    def client(self, socket: str | None = None, **options: Any) -> armctl.client.Client:
         """A connection to the daemon that was named."""
-        from armctl.client import Client
-
-        return Client(socket or self.socket, **options)
+        return armctl.client.Client(socket or self.socket, **options)
 
     def ask(self, method: str, **params: Any) -> dict[str, Any]:
         """What the daemon answers to one request."""
@@ -265,11 +261,9 @@ def next_command(error: ArmctlError, socket: str | None = None) -> str:
 
 def _workspace_command(socket: str | None) -> str:
     """What shows where the arm in question can reach: the daemon's arm, without a daemon the configured one."""
-    from armctl.client import Client
-
     with suppress(ArmctlError):
         arms = [load_arm(load_config().arm)]
-        with suppress(NoDaemon), Client(socket, timeout_s=1.0) as client:
+        with suppress(NoDaemon), armctl.client.Client(socket, timeout_s=1.0) as client:
             arm_id = client.call("status")["arm_id"]
             arms += [load_arm(str(path)) for folder in calibration_dirs() for path in sorted(folder.glob("*.yaml"))]
             arms = [arm for arm in arms if arm.arm_id == arm_id]

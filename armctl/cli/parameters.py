@@ -16,14 +16,11 @@ import math
 import tomllib
 from functools import cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any
 
 import click
 
 from armctl.cli.completion import complete
-
-if TYPE_CHECKING:
-    from armctl.lab.course import Via
 
 
 def parameters(module: str, command: str) -> list[click.Parameter]:
@@ -161,15 +158,15 @@ def length(text: str) -> tuple[str, float]:
         raise click.BadParameter(f"{text!r} is not a length such as a2=0.5") from None
 
 
-def via_counts(text: str) -> tuple["Via", ...]:
+def via_counts(text: str) -> tuple[int | str, ...]:
     """`0,1,2,8,auto,stream`."""
-    found: list[Via] = []
+    found: list[int | str] = []
     for part in text.split(","):
         word = part.strip()
         if word.isdecimal() and int(word) <= 20:
             found.append(int(word))
         elif word in ("auto", "stream"):
-            found.append(cast("Via", word))
+            found.append(word)
         else:
             raise click.BadParameter(f"{part!r} is not a number of via points from 0 to 20, auto or stream")
     return tuple(found)

@@ -1,23 +1,19 @@
 """`armctl program`: steps that are recorded, checked as a whole, and run by the daemon."""
 
-from __future__ import annotations
-
 import json
 import sys
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from armctl.cli.keys import TerminalKeys, attended, keys
 from armctl.cli.output import CONFIG, SOCKET, Output, command
 from armctl.cli.teach import ENTER, Tool, record_take
+from armctl.client import Client
 from armctl.errors import ConfigError, LogError, NoDaemon
 from armctl.files import data_dir, read_text
-
-if TYPE_CHECKING:
-    from armctl.client import Client
 
 # Key -> the step that it adds as it is.
 PLAIN: dict[str, dict[str, Any]] = {"g": {"grip": "close"}, "o": {"grip": "open"}, "w": {"wait_s": 1.0}}

@@ -1,7 +1,5 @@
 """A terminal, or what stands in its place: how wide it is, what it can show, and what is drawn again and again."""
 
-from __future__ import annotations
-
 import os
 import sys
 import time

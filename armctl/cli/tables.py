@@ -6,17 +6,14 @@ Rules.
 3. Columns move together before anything is wrapped that need not be.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from itertools import chain, zip_longest
 from pathlib import Path
 from textwrap import wrap
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
-if TYPE_CHECKING:
-    from armctl.cli.screen import Screen
+from armctl.cli.screen import Screen
 
 Row = Mapping[str, Any]
 # What stands in the tables that are made from rows of data, by their names.

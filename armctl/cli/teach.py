@@ -7,16 +7,14 @@ import sys
 from collections import deque
 from collections.abc import Callable, Collection
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from armctl.cli.arm import warn_of_limpness
 from armctl.cli.jobs import OWN_LINE, WANTED, in_words
 from armctl.cli.keys import attended, keys
 from armctl.cli.output import SOCKET, Output, Point, command
+from armctl.client import Client
 from armctl.errors import ConfigError, LogError, RequestRefused
-
-if TYPE_CHECKING:
-    from armctl.client import Client
 
 # How near its start a take begins.
 AT_START_M = 0.04
