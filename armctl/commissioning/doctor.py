@@ -21,12 +21,11 @@ from armctl import __version__
 from armctl.commissioning.scan import ALL_IDS, USUAL_BAUDS, FoundServo, Progress, scan
 from armctl.config import ArmConfig, Servo
 from armctl.dynamixel import ax12a
-from armctl.dynamixel.ax12a import ErrorBit, Register
-from armctl.dynamixel.bus import ServoBus
+from armctl.dynamixel.bus import STATUS_BLOCK, ServoBus
 from armctl.dynamixel.fitness import unfit_registers, wrong_model
-from armctl.dynamixel.identify import IDENTIFY_LATENCY_MS, SLOW_ADAPTER_MS
-from armctl.dynamixel.packet import OVERHEAD_BYTES
-from armctl.dynamixel.port import ADAPTER_LATENCY_MS, NS_PER_MS
+from armctl.dynamixel.identify import EEPROM, IDENTIFY_LATENCY_MS, SLOW_ADAPTER_MS, added_ms
+from armctl.dynamixel.port import ADAPTER_LATENCY_MS
+from armctl.dynamixel.serial_port import usb_identity
 from armctl.errors import BusError, PortBusy, PortGone
 
 MIN_PYTHON = (3, 11)
@@ -99,7 +98,9 @@ def check_port(bus: ServoBus, surroundings: Surroundings) -> list[Check]:
         if busy or (path.exists() and not os.access(path, os.R_OK | os.W_OK)):
             return [Check("port", True, str(path)), Check("owner" if busy else "permission", False, value, fix)]
         return [Check("port", False, value, fix)]
-    facts = (("port", _port_name(path)), ("permission", "readable and writable"), ("owner", "nobody else"))
+    # The path, and the name that stays the same when the adapter is plugged in again.
+    name = f"{path} = {link}" if (link := usb_identity(str(path))) else str(path)
+    facts = (("port", name), ("permission", "readable and writable"), ("owner", "nobody else"))
     checks = [Check(name, True, value) for name, value in facts]
     timer = surroundings.sysfs / "class" / "tty" / path.resolve().name / "device" / "latency_timer"
     set_timer = f"echo {MAX_LATENCY_TIMER_MS} | sudo tee {timer}"
@@ -132,13 +133,13 @@ def check_servos(
     if not found:
         return checks
     bus.port.allow_latency(IDENTIFY_LATENCY_MS)
-    round_trips_ns: list[float] = []
+    latencies_ms: list[float] = []
     for joint in arm.servos:
         if joint.servo_id in found:
             slow = f"armctl servo set-return-delay {joint.servo_id if missing else 'all'} 0{surroundings.options}"
-            checks += _servo_checks(bus, joint, found[joint.servo_id], surroundings.options, slow, round_trips_ns)
-    if round_trips_ns:
-        latency_ms = median(round_trips_ns) / NS_PER_MS
+            checks += _servo_checks(bus, joint, found[joint.servo_id], surroundings.options, slow, latencies_ms)
+    if latencies_ms:
+        latency_ms = median(latencies_ms)
         bus.port.allow_latency(max(ADAPTER_LATENCY_MS, latency_ms))
         fix = f"echo {MAX_LATENCY_TIMER_MS} | sudo tee /sys/bus/usb-serial/devices/*/latency_timer"
         value = f"adds {latency_ms:.1f} ms to every reply, at most {SLOW_ADAPTER_MS:.0f} ms are fit for motion"
@@ -154,20 +155,11 @@ def _check(name: str, ok: bool, value: str, fix: str = "", servo_id: int | None 
     return Check(name, ok, value, "" if ok else fix or REMEDIES[name], servo_id)
 
 
-def _port_name(path: Path, by_id: Path = Path("/dev/serial/by-id")) -> str:
-    """The path, and the name that stays the same when the adapter is plugged in again."""
-    for link in by_id.glob("*"):
-        if link.resolve() == path.resolve():
-            return f"{path} = {link}"
-    return str(path)
-
-
 def _baud_check(baud: int, found: int, wanted: int, elsewhere: dict[int, FoundServo], options: str) -> Check:
     if found:
         return Check("baud", True, f"{baud}, {found} servos answer")
     if not elsewhere:
-        fix = "switch on the servos' supply, and check the cable between adapter and first servo"
-        return Check("baud", False, f"none of {wanted} servos answers at {baud} or any other usual baud", fix)
+        return _check("baud", False, f"none of {wanted} servos answers at {baud} or any other usual baud")
     first = next(iter(elsewhere.values()))
     servos = "servo" if len(elsewhere) == 1 else "servos"
     value = f"nobody answers at {baud}, but {servos} {', '.join(map(str, elsewhere))} at {first.baud}"
@@ -206,33 +198,32 @@ def _presence(
 
 
 def _servo_checks(
-    bus: ServoBus, joint: Servo, servo: FoundServo, options: str, delay_fix: str, round_trips_ns: list[float]
+    bus: ServoBus, joint: Servo, servo: FoundServo, options: str, delay_fix: str, latencies_ms: list[float]
 ) -> list[Check]:
-    """Registers of one servo that answers; adds what the adapter costs its replies to `round_trips_ns`."""
+    """Registers of one servo that answers; adds what the adapter costs its replies to `latencies_ms`."""
     servo_id = joint.servo_id
 
-    def set_to(register: Register, value: int) -> str:
+    def set_to(register: ax12a.Register, value: int) -> str:
         return f"armctl servo set {servo_id} {register.name} {value}{options}"
 
     if servo.clash:
         fix = f"take all but one off the bus, then `armctl servo set-id {servo_id} NEW{options}`"
         return [Check("id_clash", False, f"two servos answer to id {servo_id}", fix, servo_id)]
-    table = bus.read_block(servo_id, 0, ax12a.EEPROM_END)
-    status = bus.read_block(servo_id, ax12a.STATUS_BEGIN, ax12a.STATUS_SIZE)
+    table = bus.read_block(servo_id, *EEPROM)
+    status = bus.read_block(servo_id, *STATUS_BLOCK)
     if table.problem or status.problem:
         value = f"answers a PING but no READ ({table.problem or status.problem})"
         fix = set_to(ax12a.RETURN_LEVEL, ax12a.RETURN_LEVEL.default)
         return [Check("return_level", False, value, fix, servo_id)]
 
-    def stored(register: Register) -> int:
+    def stored(register: ax12a.Register) -> int:
         return ax12a.register_value(register, table.data, 0)
 
-    def now(register: Register) -> int:
+    def now(register: ax12a.Register) -> int:
         return ax12a.register_value(register, status.data)
 
     delay_us = 2 * stored(ax12a.RETURN_DELAY)
-    wire_ns = (2 * OVERHEAD_BYTES + 2 + ax12a.EEPROM_END) * bus.port.byte_ns
-    round_trips_ns.append(table.elapsed_ns - wire_ns - 1000 * delay_us)
+    latencies_ms.append(added_ms(bus, table))
     model, level, mask = (stored(register) for register in (ax12a.MODEL, ax12a.RETURN_LEVEL, ax12a.SHUTDOWN))
     wrong = wrong_model(joint, model)
     unfit = {it.register: it for it in unfit_registers(joint, table.data)}
@@ -241,7 +232,7 @@ def _servo_checks(
     hottest, mend = stored(ax12a.TEMPERATURE_LIMIT), f"armctl servo mend {servo_id}{options}"
     volts, heat = now(ax12a.PRESENT_VOLTAGE) / 10.0, now(ax12a.PRESENT_TEMPERATURE)
     error, tripped = status.error | table.error, now(ax12a.TORQUE_LIMIT) == 0
-    error_fix = next((REMEDIES["error_bits"][bit] for bit in ErrorBit.names(error)), "")
+    error_fix = next((REMEDIES["error_bits"][bit] for bit in ax12a.ErrorBit.names(error)), "")
     torque = "torque limit 0: it has shut itself down" if tripped else "on" if now(ax12a.TORQUE_ENABLE) else "off"
     volts_fix = f"give the servos {VOLTAGE_V[0]:.0f} to {VOLTAGE_V[1]:.1f} V"
     rows = [
@@ -270,4 +261,4 @@ def _cycle_check(bus: ServoBus, period_s: float) -> Check:
 
 
 def _bits(value: int) -> str:
-    return ", ".join(name.lower() for name in ErrorBit.names(value)) or "none"
+    return ", ".join(name.lower() for name in ax12a.ErrorBit.names(value)) or "none"

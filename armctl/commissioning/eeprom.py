@@ -22,7 +22,6 @@ from armctl.commissioning.arm_file import refuse_taken, write
 from armctl.commissioning.scan import scan
 from armctl.config import Frozen, parse_yaml, validate
 from armctl.dynamixel import ax12a
-from armctl.dynamixel.ax12a import Register
 from armctl.dynamixel.bus import PORT_GONE, ServoBus
 from armctl.dynamixel.fitness import ServoJoint, unfit_registers
 from armctl.dynamixel.identify import IDENTIFY_LATENCY_MS, answers_twice
@@ -136,7 +135,7 @@ def differences(bus: ServoBus, snapshot: Snapshot) -> list[Difference]:
 # -------------------------------------------------------------------------------------------------------- writing
 
 
-def write_register(bus: ServoBus, servo_id: int, register: Register, value: int) -> None:
+def write_register(bus: ServoBus, servo_id: int, register: ax12a.Register, value: int) -> None:
     """Write one EEPROM register of one servo and read it back.
 
     Raises:
@@ -294,7 +293,7 @@ def require_writable(bus: ServoBus, servo_id: int) -> None:
         raise RequestRefused("LOCKED", f"servo {servo_id}: {text}")
 
 
-def write_confirmed(bus: ServoBus, servo_id: int, register: Register, value: int) -> None:
+def write_confirmed(bus: ServoBus, servo_id: int, register: ax12a.Register, value: int) -> None:
     """Write a register and read it back; nothing is asked before.
 
     Raises:

@@ -31,6 +31,8 @@ from armctl.errors import ArmctlError, ConfigError
 from armctl.files import find_arm_file, load_arm, load_config, shipped_dirs
 
 SYSTEM = Path("/")
+# Where the kernel describes its devices.
+SYSFS = Path("/sys")
 UNITS = ("armctl.service", "armctl-web.service")
 # Unit -> the one that it is made of, and what it has instead of what.
 DERIVED: dict[str, tuple[str, dict[str, str]]] = yaml.safe_load(Path(__file__).with_name("units.yaml").read_bytes())
@@ -117,13 +119,7 @@ Act = File | Run
 
 
 def installation(
-    *,
-    arm: str | None = None,
-    port: str = "",
-    user: str = "",
-    prefix: Path | None = None,
-    root: Path = SYSTEM,
-    sysfs: Path = Path("/sys"),
+    *, arm: str | None = None, port: str = "", user: str = "", prefix: Path | None = None, root: Path = SYSTEM
 ) -> list[Act]:
     """What makes armctl a service of this system.
 
@@ -135,7 +131,6 @@ def installation(
         user: Who joins the group that may command the arm.
         prefix: Where `bin/armctl` lies; the running environment's unless given.
         root: Below which it is written.
-        sysfs: Where the kernel describes its devices.
     Raises:
         ConfigError: no such arm or not a valid one, no adapter behind the port, or a program that the service could not
             start.
@@ -146,7 +141,7 @@ def installation(
     there = (root / RULES).exists()
     rules = File(RULES, udev_rules(U2D2), keep=there)
     if port and (Path(port).exists() or not there):
-        rules = File(RULES, udev_rules(usb_adapter(Path(port), sysfs)))
+        rules = File(RULES, udev_rules(usb_adapter(Path(port))))
     units = {unit: File(SYSTEMD / unit, unit_text(unit, prefix)) for unit in (*UNITS, *DERIVED)}
     made = {kind: File(_configuration(kind), template(f"{kind}.conf")) for kind in CONFIGURED}
     seen = ("udevadm", "trigger", "--action=add", "--subsystem-match=tty", "--subsystem-match=usb-serial")
@@ -305,13 +300,13 @@ def udev_rules(adapter: dict[str, str]) -> str:
     return template("60-armctl.rules").replace("@ADAPTER@", match)
 
 
-def usb_adapter(port: Path, sysfs: Path) -> dict[str, str]:
+def usb_adapter(port: Path) -> dict[str, str]:
     """USB vendor, product and serial number of the adapter behind a serial device.
 
     Raises:
         ConfigError: there is no such device, or it is none of USB.
     """
-    device = sysfs / "class" / "tty" / Path(os.path.realpath(port)).name / "device"
+    device = SYSFS / "class" / "tty" / Path(os.path.realpath(port)).name / "device"
     if not device.exists():
         raise ConfigError(str(port), "", "no such serial device", "plug the adapter in; see ls -l /dev/serial/by-id")
     for folder in (resolved := device.resolve(), *resolved.parents):

@@ -90,14 +90,13 @@ def _ping_all(port: ServoPort, servo_ids: Sequence[int], progress: Progress | No
     """What came from each id that is not silent."""
     answers: dict[int, _Answer] = {}
     decoder = Decoder()
-    slow_adapter = False
     patient_until = -1
     index = 0
     port.drain()
     while index < len(servo_ids):
         servo_id = servo_ids[index]
         request = encode_instruction(servo_id, Instruction.PING)
-        patient = slow_adapter or index <= patient_until
+        patient = index <= patient_until
         port.allow_latency(IDENTIFY_LATENCY_MS if patient else ADAPTER_LATENCY_MS)
         begin_ns = port.begin_round()
         port.writePort(list(request))
@@ -113,8 +112,7 @@ def _ping_all(port: ServoPort, servo_ids: Sequence[int], progress: Progress | No
                 patient_until = index
         late = [i for i in range(index) if servo_ids[i] in heard and servo_ids[i] not in answers]
         if not patient and (late or patient_until == index):
-            slow_adapter |= bool(late)
-            patient_until = index
+            patient_until = len(servo_ids) if late else index  # a slow adapter is one for all of them
             port.setPacketTimeoutMillis(IDENTIFY_LATENCY_MS)
             _listen(port, decoder, None)
             decoder.reset()

@@ -231,9 +231,7 @@ def believable(seen: Seen, last: Seen | None, doubted: Seen | None) -> bool:
     """
     if last is not None and abs(seen[0] - last[0]) <= MOTION_MARGIN_TICKS:
         return True  # nearly always
-    if last is None:
-        return doubted is None or _reachable(seen, doubted)
-    return _reachable(seen, last) or (doubted is not None and _reachable(seen, doubted))
+    return last is doubted is None or any(_reachable(seen, one) for one in (last, doubted) if one is not None)
 
 
 def _reachable(seen: Seen, before: Seen) -> bool:

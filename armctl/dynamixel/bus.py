@@ -19,6 +19,7 @@ What is found when connecting is in `identify.py`.
 """
 
 import logging
+import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -27,7 +28,7 @@ from dynamixel_sdk import COMM_RX_TIMEOUT, COMM_SUCCESS, COMM_TX_FAIL
 
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.ax12a import IMPOSSIBLE_BITS, ErrorBit, Register, Seen, believable, position_tick
-from armctl.dynamixel.packet import BROADCAST_ID, HEADER, OVERHEAD_BYTES, Instruction, encode_instruction
+from armctl.dynamixel.packet import BROADCAST_ID, OVERHEAD_BYTES, Instruction, encode_instruction
 from armctl.dynamixel.port import ADAPTER_LATENCY_MS, DRAIN_ROUNDS, NS_PER_MS, QUIET_MS, ServoPort
 from armctl.errors import PortGone
 from armctl.messages import Goal, Sample, ServoReading, Write
@@ -149,16 +150,13 @@ class ServoBus:
         for what, values in (("goal position", goal.ticks), ("moving speed", goal.speeds)):
             if len(values) != len(self.servo_ids):
                 raise ValueError(f"{len(values)} values of {what} for {len(self.servo_ids)} servos")
-        data: list[int] = []
-        for servo_id, tick, speed in zip(self.servo_ids, goal.ticks, goal.speeds, strict=True):
-            for what, value in (("goal position", tick), ("moving speed", speed)):
+            for servo_id, value in zip(self.servo_ids, values, strict=True):
                 if not (isinstance(value, int) and 0 <= value <= ax12a.TICK_MAX):
                     raise ValueError(f"servo {servo_id}: {what} {value!r} is no whole number in 0..{ax12a.TICK_MAX}")
-            data += (servo_id, tick & 0xFF, tick >> 8, speed & 0xFF, speed >> 8)
         if not self.is_open:
             return False
-        body = bytes((BROADCAST_ID, len(data) + 4, Instruction.SYNC_WRITE, ax12a.GOAL.address, 4, *data))
-        packet = HEADER + body + bytes((~sum(body) & 0xFF,))
+        goals = b"".join(struct.pack("<BHH", *one) for one in zip(self.servo_ids, goal.ticks, goal.speeds, strict=True))
+        packet = encode_instruction(BROADCAST_ID, Instruction.SYNC_WRITE, bytes((ax12a.GOAL.address, 4)) + goals)
         try:
             self.port.clearPort()
             return self.port.writePort(packet) == len(packet)

@@ -1,17 +1,21 @@
-"""What makes servos unfit for an arm, in words that say what to do about it."""
+"""What makes servos unfit for an arm, in words that say what to do about it: `unfit.toml` has them."""
 
+import tomllib
+from importlib import resources
 from typing import NamedTuple, Protocol
 
 from armctl.dynamixel import ax12a
-from armctl.dynamixel.ax12a import ErrorBit, Register
 from armctl.dynamixel.servos import MODELS, by_number
 from armctl.messages import Problem
 
 # How far outside a joint's limits those of its servo may lie and still be a wall: not quite 5 deg.
 WALL_TICKS = 16
-NEEDED_SHUTDOWN = ErrorBit.OVERHEAT | ErrorBit.OVERLOAD
+NEEDED_SHUTDOWN = ax12a.ErrorBit.OVERHEAT | ax12a.ErrorBit.OVERLOAD
 # The factory's highest: 70 degC for an AX-12A, 85 for an AX-12+, which has the same model number.
 HOTTEST_DEGC = 85
+_SAID: dict[str, str] = tomllib.loads(resources.files(__package__).joinpath("unfit.toml").read_text("utf-8"))
+# Why a servo does not answer, or more than one does.
+SILENT, DOUBLED = _SAID["silent"], _SAID["doubled"]
 
 
 class ServoJoint(Protocol):
@@ -34,32 +38,14 @@ class ServoJoint(Protocol):
 
 def bus_dead(servos: int, garbled: bool, port_name: str, baud: int) -> Problem:
     """Why none of so many servos can be understood."""
-    what = (
-        f"only garbled bytes came; check that every servo runs at {baud} baud, that the adapter does not echo, the "
-        "data wire and the common ground"
-        if garbled
-        else f"not a byte came; check that the servos' 12 V supply is on, that they run at {baud} baud, and the cable "
-        "between adapter and first servo"
-    )
-    return Problem("BUS_DEAD", f"{port_name}: {servos} servos asked, {what}")
+    heard = _SAID["garbled" if garbled else "mute"].format(baud=baud)
+    return Problem("BUS_DEAD", _SAID["dead"].format(port=port_name, servos=servos, heard=heard))
 
 
 def slow_adapter(port_name: str, latency_ms: float, bound_ms: float) -> Problem:
     """An adapter that keeps every reply back for so long."""
-    return Problem(
-        "SLOW_ADAPTER",
-        f"{port_name}: the adapter adds {latency_ms:.1f} ms to every reply, at most {bound_ms:.0f} ms are fit for "
-        "motion; install the udev rule, or set its latency timer: "
-        "echo 1 | sudo tee /sys/bus/usb-serial/devices/ttyUSB*/latency_timer",
-    )
-
-
-# Why a servo does not answer, or more than one does.
-SILENT = "no reply; check its cable, its supply, its id, and that its status return level is 2"
-DOUBLED = (
-    "garbled replies while others answer well; two servos with this id, or a bad cable: connect them one at a time and "
-    "give each its own id"
-)
+    said = _SAID["slow"].format(port=port_name, latency_ms=latency_ms, bound_ms=bound_ms)
+    return Problem("SLOW_ADAPTER", said)
 
 
 def problem(code: str, joint: ServoJoint, text: str) -> Problem:
@@ -70,7 +56,7 @@ def problem(code: str, joint: ServoJoint, text: str) -> Problem:
 class Unfit(NamedTuple):
     """A register that forbids motion."""
 
-    register: Register
+    register: ax12a.Register
     found: int
     # What it is to hold, in words.
     wanted: str
@@ -121,5 +107,6 @@ def wrong_model(joint: ServoJoint, model_number: int) -> str:
     wanted, found = MODELS[joint.model], by_number(model_number)
     if found is wanted:
         return ""
-    told = f"{wanted.model_number} ({wanted.title}); use an {wanted.title}, or the right id"
+    title = wanted.name.upper()
+    told = f"{wanted.model_number} ({title}); use an {title}, or the right id"
     return told if found is None else f"{told}, or write `model: {found.name}` for it into the arm's file"

@@ -114,26 +114,27 @@ def _adapter_problems(bus: ServoBus, joints: Sequence[ServoJoint], tables: Seque
     By the lower quartile: a busy machine is slow now and then, a slow adapter is fast now and then, when a reply
     meets its timer just before that fires.
     """
-    wire_ns = _wire_ns(bus, EEPROM)
 
-    def added_ms(replies: Sequence[Reply]) -> list[float]:
-        return sorted(
-            (reply.elapsed_ns - wire_ns) / NS_PER_MS - 0.002 * ax12a.register_value(ax12a.RETURN_DELAY, reply.data, 0)
-            for reply in replies
-            if not reply.problem
-        )
+    def added(replies: Sequence[Reply]) -> list[float]:
+        return sorted(added_ms(bus, reply) for reply in replies if not reply.problem)
 
-    latencies_ms = added_ms(tables)
+    latencies_ms = added(tables)
     if median(latencies_ms) > SLOW_ADAPTER_MS:
         answering = next(joint for joint, table in zip(joints, tables, strict=True) if not table.problem)
         probes = list[Reply]()
         for _ in range(LATENCY_PROBES):
             probes.append((yield from _read_table(bus, answering)))
-        latencies_ms = added_ms([*tables, *probes])
+        latencies_ms = added([*tables, *probes])
     latency_ms, allowance_ms = latencies_ms[len(latencies_ms) // 4], max(ADAPTER_LATENCY_MS, median(latencies_ms))
     slow = latency_ms > SLOW_ADAPTER_MS
     bus.allow_latency(allowance_ms if slow else min(allowance_ms, SLOW_ADAPTER_MS))
     return [slow_adapter(bus.port.port_name, latency_ms, SLOW_ADAPTER_MS)] if slow else []
+
+
+def added_ms(bus: ServoBus, table: Reply) -> float:
+    """What the adapter added to a servo's EEPROM on its way [ms]."""
+    delay_ms = 0.002 * ax12a.register_value(ax12a.RETURN_DELAY, table.data, 0)
+    return (table.elapsed_ns - _wire_ns(bus, EEPROM)) / NS_PER_MS - delay_ms
 
 
 def answers_twice(bus: ServoBus, servo_id: int) -> bool:

@@ -43,7 +43,7 @@ UNIX98_PTY_SLAVES = range(136, 144)
 BY_ID = Path("/dev/serial/by-id")
 
 
-def _usb_identity(path: str) -> Path | None:
+def usb_identity(path: str) -> Path | None:
     """The name under /dev/serial/by-id of the adapter at `path`; None for a port that has none (a pty)."""
     device = Path(path).resolve()
     return next((link for link in sorted(BY_ID.glob("*")) if link.resolve() == device), None)
@@ -95,7 +95,7 @@ class SerialPort(ServoPort):
         except (OSError, termios.error, ValueError) as error:
             self.closePort()
             raise _open_error(path, self.baudrate, error) from None
-        self._identity = self._identity or _usb_identity(self.port_name)
+        self._identity = self._identity or usb_identity(self.port_name)
         self.low_latency = self._ask_low_latency(self.ser)
         self.is_open = self._unread = True
         return True
@@ -168,10 +168,9 @@ class SerialPort(ServoPort):
         return max(0, wait_ns)
 
     def _watched_worker(self) -> KernelWorker | None:
-        try:
+        with suppress(OSError):  # there are no pseudo terminals here; then what is late counts as lost
             return self._opened.enter_context(closing(KernelWorker()))
-        except OSError:  # there are no pseudo terminals here; then what is late counts as lost
-            return None
+        return None
 
     def _kept_back(self) -> bool:
         now_ns = self._now_ns()
@@ -193,11 +192,10 @@ class SerialPort(ServoPort):
         return first and now_ns - self._late_ns < LATELY_NS
 
     def _send(self, packet: bytes) -> int:
+        sent = 0
         try:
-            try:
+            with suppress(BlockingIOError):
                 sent = os.write(self._fd, packet)
-            except BlockingIOError:
-                sent = 0
             if sent < len(packet):  # nothing that waits here may reach the servos later, in a burst
                 termios.tcflush(self._fd, termios.TCOFLUSH)
         except (OSError, termios.error) as error:
@@ -215,12 +213,11 @@ class SerialPort(ServoPort):
 
     def _ask_low_latency(self, ser: serial.Serial) -> bool | None:
         state = array.array("i", [0] * 32)
-        try:
+        with suppress(ValueError, OSError):
             ser.set_low_latency_mode(True)
             fcntl.ioctl(ser.fileno(), termios.TIOCGSERIAL, state)
-        except (ValueError, OSError):
-            return None
-        return bool(state[4] & ASYNC_LOW_LATENCY)
+            return bool(state[4] & ASYNC_LOW_LATENCY)
+        return None
 
 
 def _reason(error: Exception) -> str:
@@ -241,10 +238,9 @@ def _open_error(path: str, baud: int, error: Exception) -> BusError:
         holders = ", ".join(_holders(path)) or "another process (of another user)"
         return PortBusy(f"{path}: in use by {holders}; stop it, one program at a time can drive the bus")
     if number in (errno.EACCES, errno.EPERM):
-        try:
+        group = str(os.stat(path).st_gid)
+        with suppress(KeyError):  # it has no name here
             group = Path(path).group()
-        except KeyError:  # it has no name here
-            group = str(os.stat(path).st_gid)
         remedy = f"sudo usermod -aG {group} $USER, then log in again"
         return PortMissing(f"{path}: no permission; it belongs to group {group}: {remedy}")
     if isinstance(error, ValueError):
@@ -257,10 +253,8 @@ def _holders(path: str) -> list[str]:
     device = os.path.realpath(path)
     found: dict[str, str] = {}
     for link in Path("/proc").glob("[0-9]*/fd/*"):
-        try:
+        with suppress(OSError):  # ended meanwhile, or not ours to see
             if os.readlink(link) == device:
                 process = link.parent.parent
                 found[process.name] = f"{(process / 'comm').read_text().strip()} (pid {process.name})"
-        except OSError:  # ended meanwhile, or not ours to see
-            continue
     return list(found.values())

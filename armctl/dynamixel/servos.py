@@ -20,10 +20,6 @@ class ServoModel(NamedTuple):
     no_load_rpm: float
 
     @property
-    def title(self) -> str:
-        return self.name.upper()
-
-    @property
     def no_load_speed_rad_s(self) -> float:
         return self.no_load_rpm * 2.0 * math.pi / 60.0
 

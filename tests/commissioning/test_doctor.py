@@ -154,14 +154,18 @@ def test_host_checks_need_no_port(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert "chown" in locked.fix
 
 
-def test_the_port_is_shown_with_the_name_that_stays(tmp_path: Path) -> None:
+def test_the_port_is_shown_with_the_name_that_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench()
     device, link = tmp_path / "ttyUSB0", tmp_path / "by-id" / "usb-FTDI"
     device.touch()
     link.parent.mkdir()
     link.symlink_to(device)
     (link.parent / "other").symlink_to(tmp_path)
-    assert doctor._port_name(device, link.parent) == f"{device} = {link}"
-    assert doctor._port_name(tmp_path / "ttyUSB1", link.parent) == str(tmp_path / "ttyUSB1")
+    monkeypatch.setattr("armctl.dynamixel.serial_port.BY_ID", link.parent)
+    for path, shown in ((device, f"{device} = {link}"), (tmp_path / "ttyUSB1", str(tmp_path / "ttyUSB1"))):
+        bench.bus.close()
+        bench.port.port_name = str(path)
+        assert check_port(bench.bus, surroundings(tmp_path))[0] == Check("port", True, shown)
 
 
 def test_latency_of_the_driver_is_read_and_its_fix_is_exact(tmp_path: Path) -> None:

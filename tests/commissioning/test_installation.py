@@ -33,7 +33,7 @@ def root(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def sysfs(tmp_path: Path) -> Path:
+def sysfs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A kernel that knows a U2D2 behind ttyUSB0, and a serial port that is not of USB."""
     usb = tmp_path / "sys" / "devices" / "usb1" / "1-1"
     (usb / "1-1:1.0" / "ttyUSB0").mkdir(parents=True)
@@ -45,6 +45,7 @@ def sysfs(tmp_path: Path) -> Path:
         tty = tmp_path / "sys" / "class" / "tty" / name
         tty.mkdir(parents=True)
         (tty / "device").symlink_to(device)
+    monkeypatch.setattr(module, "SYSFS", tmp_path / "sys")
     return tmp_path / "sys"
 
 
@@ -223,8 +224,9 @@ def test_a_program_missing_or_in_a_home_folder_is_refused_with_the_way_out(monke
         installation(arm="ax12-line", prefix=Path("/home/eve/.venv"))
 
 
-def test_the_rule_is_limited_to_the_adapter_behind_the_port(prefix: Path, sysfs: Path) -> None:
-    acts = installation(arm="ax12-line", prefix=prefix, port="/dev/ttyUSB0", sysfs=sysfs)
+@pytest.mark.usefixtures("sysfs")
+def test_the_rule_is_limited_to_the_adapter_behind_the_port(prefix: Path) -> None:
+    acts = installation(arm="ax12-line", prefix=prefix, port="/dev/ttyUSB0")
     [rules] = [act.text or "" for act in acts if isinstance(act, module.File) and act.path.suffix == ".rules"]
     rows = [row for row in rules.splitlines() if not row.startswith("#")]
     adapter = 'ATTRS{idVendor}=="0403", ATTRS{idProduct}=="6014", ATTRS{serial}=="FT4THUX8"'
@@ -234,13 +236,14 @@ def test_the_rule_is_limited_to_the_adapter_behind_the_port(prefix: Path, sysfs:
 
 def test_a_serial_number_that_is_no_plain_word_does_not_get_into_a_rule(sysfs: Path) -> None:
     (sysfs / "devices/usb1/1-1/serial").write_text('X", RUN+="/bin/sh\n')
-    assert "RUN" not in module.udev_rules(module.usb_adapter(Path("/dev/ttyUSB0"), sysfs))
+    assert "RUN" not in module.udev_rules(module.usb_adapter(Path("/dev/ttyUSB0")))
 
 
 @pytest.mark.parametrize(("port", "problem"), [("/dev/ttyUSB7", "no such serial device"), ("/dev/ttyS0", "no USB")])
-def test_a_port_without_an_adapter_is_refused(sysfs: Path, port: str, problem: str) -> None:
+@pytest.mark.usefixtures("sysfs")
+def test_a_port_without_an_adapter_is_refused(port: str, problem: str) -> None:
     with pytest.raises(ConfigError, match=problem):
-        module.usb_adapter(Path(port), sysfs)
+        module.usb_adapter(Path(port))
 
 
 def test_an_unknown_arm_is_refused_before_anything_is_touched(prefix: Path) -> None:

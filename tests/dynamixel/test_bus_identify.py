@@ -52,7 +52,7 @@ def test_a_joint_takes_the_servo_that_its_file_names_and_no_other(bus: ScriptedB
     bus.port.place(2, ax12a.MODEL, 29)
     [problem] = bus.identify(joints)
     assert (problem.code, problem.servo_id) == ("WRONG_MODEL", 2)
-    assert f"model number 29, wanted {model.model_number} ({model.title})" in problem.text
+    assert f"model number 29, wanted {model.model_number} ({model.name.upper()})" in problem.text
 
 
 def test_another_known_servo_is_told_by_the_line_that_the_file_needs(bus: ScriptedBus) -> None:
