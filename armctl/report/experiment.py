@@ -40,10 +40,7 @@ def write(report: line.ExperimentReport, path: Path) -> None:
 
 
 def _convergence(page: Page, report: line.ExperimentReport) -> None:
-    page.heading("Convergence")
-    description = "Mean distance from the line by round of correction"
-    title = "Mean distance by round of correction (0: before any)"
-    with page.chart(description, title, "round", "mean distance, mm", type="log") as chart:
+    with page.chart(**TEXTS["line"]["convergence"], type="log") as chart:
         for one, colour in zip(report.outcomes, line.COLOURS, strict=False):
             for label, dash, paths in (
                 ("true", "solid", [run.real_tool_m for run in one.rounds]),
@@ -57,9 +54,7 @@ def _convergence(page: Page, report: line.ExperimentReport) -> None:
 
 
 def _prediction(page: Page, report: line.ExperimentReport) -> None:
-    page.heading("Prediction against measurement")
-    title = "Mean distance after correction, ± standard deviation over the repeats"
-    with page.chart("Predicted, measured and true mean distance", title, "", "mean distance, mm") as chart:
+    with page.chart(**TEXTS["line"]["prediction"]) as chart:
         names = [line.via_text(one.via) for one in report.outcomes]
         predicted = [one.runs[0].predicted_mean_mm for one in report.outcomes]
         chart.add("bar", x=names, y=predicted, name="predicted", marker={"color": line.FAINT})

@@ -10,7 +10,7 @@ import numpy as np
 
 from armctl.kinematics.transform import FloatArray
 from armctl.report.page import TEXTS, Figure, Page, curve, in_space
-from armctl.trajectory.straightness import distance_to_line, errors_mm, own_chord_mm
+from armctl.trajectory.straightness import Ends, distance_to_line, errors_mm, own_chord_mm
 
 
 class Printed(NamedTuple):
@@ -22,11 +22,7 @@ class Printed(NamedTuple):
 
 
 # By number of via points, Raharjo et al. Table II; `armctl/lab/table_ii.py` makes that table anew.
-PRINTED: dict[int | str, Printed] = {
-    0: Printed(10.1499, 19.51644, 5.0),
-    1: Printed(7.42501, 16.52173, 7.7),
-    2: Printed(7.00036, 14.69483, 7.8),
-}
+PRINTED: dict[int | str, Printed] = {via: Printed(*row) for via, row in TEXTS["line"]["printed"].items()}
 
 # What was done about the arm's lag: nothing, the control step led goals by it, or further runs corrected the plan too.
 Goals = Literal["plain", "corrected", "refined"]
@@ -80,10 +76,6 @@ class DrawnOutcome(NamedTuple):
     runs: Sequence[LineRun]
     # Each correction in order, from the plain plan on.
     rounds: Sequence[LineRun]
-
-
-# Of a line AB [m], each shape (3,).
-Ends = tuple[FloatArray, FloatArray]
 
 
 class ExperimentReport(NamedTuple):
@@ -217,9 +209,8 @@ def along_and_off(tool_m: FloatArray, A: FloatArray, B: FloatArray) -> tuple[Flo
 
 def add_paths(page: Page, ends: Ends, shown: Sequence[Shown], candidates_m: Sequence[FloatArray] = ()) -> None:
     """The tool paths in space and in both `VIEWS`: taught, commanded and run."""
-    page.heading("Path against line, in space, from above and from the side")
     ways = [(one.name, one.runs[0].real_tool_m, one.colour if one.strokes["dash"] != "dot" else FAINT) for one in shown]
-    with page.chart("Tool paths in space against the line AB", "Tool paths in space", "", "", height=600) as chart:
+    with page.chart(**TEXTS["line"]["paths"]) as chart:
         paths_in_space(chart, ends, ways)
     for axis, title in VIEWS:
         with page.chart(f"Tool paths against the line AB, {title}", title, ALONG, OFF) as chart:
@@ -244,9 +235,7 @@ def _path_curve(chart: Figure, ends: Ends, axis: int, tool_m: FloatArray, name: 
 
 def add_deviations(page: Page, ends: Ends, shown: Sequence[Shown]) -> None:
     """Distance from the line along it, of every run."""
-    page.heading("Deviation along the path")
-    description = "Distance of the tool from the line AB along the path, for each run"
-    with page.chart(description, "Distance from the line", ALONG, "distance, mm") as chart:
+    with page.chart(**TEXTS["line"]["deviations"]) as chart:
         for one in shown:
             for number, run in enumerate(one.runs):
                 group = {"legendgroup": one.name, "showlegend": number == 0, "opacity": 0.35 if number else 1.0}

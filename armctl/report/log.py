@@ -125,7 +125,7 @@ def _verdicts(page: Page, log: Timeline) -> None:
         text = f"{sign * worst:.3g} {about['unit']}" + (f" ({joint})" if values.ndim == 2 and found else "")
         what = about["what"] + (f": {about['remedy']}" if verdict in ("watch", "bad") else "")
         rows.append((what, Marked(verdict, ABOUT["looks"][verdict]), text, f"{mark} {good:g} ({bad:g})"))
-    counted = ", ".join(f"{sum(row[1] == verdict for row in rows)} {verdict}" for verdict in ABOUT["looks"])
+    counted = ", ".join(f"{sum(row[1].text == verdict for row in rows)} {verdict}" for verdict in ABOUT["looks"])
     page.table(("", "verdict", "found", "good (bad beyond)"), rows, f"{counted}.", words=True)
 
 
@@ -152,10 +152,8 @@ def _charts(page: Page, charts: Sequence[Answer], *logs: Timeline, ticks: slice 
     """Columns over time, a curve a joint; those of a second log are dashed."""
     drawn = [_columns(log) for log in logs]
     for about in charts:
-        if about["heading"]:
-            page.heading(about["heading"])
-        title = about["title"]
-        with page.chart(f"{title} over time", title, "time, s", about["unit"], height=320) as chart:
+        title, heading = about["title"], about["heading"]
+        with page.chart(f"{title} over time", title, "time, s", about["unit"], 320, heading) as chart:
             for log, columns, dashed in zip(logs, drawn, (None, "dash"), strict=False):
                 for key, dash in about["columns"].items():
                     curves = zip(log.arm.joint_names, cycle(COLOURS), np.atleast_2d(columns[key].T), strict=False)
@@ -176,9 +174,7 @@ def _state_figure(page: Page, log: Timeline) -> None:
             if what:
                 drawn.setdefault((row, what.partition(":")[0]), []).append((begin_s, end_s - begin_s))
                 told.append((row, f"{begin_s:.1f} to {end_s:.1f}", what))
-    description, title = "States and faults of the arm over time", "What the arm did"
-    order = {"categoryorder": "array", "categoryarray": ["fault", "state"]}
-    with page.chart(description, title, "time, s", "", height=220, **order) as chart:
+    with page.chart(**ABOUT["state chart"]) as chart:
         for (row, name), bars in drawn.items():
             base, x = zip(*bars, strict=True)
             colour = {"color": ABOUT["states"].get(name if row == "state" else row, COLOURS[-1])}
@@ -205,12 +201,11 @@ def _tool_figure(page: Page, *logs: Timeline) -> None:
     known = [np.flatnonzero(np.isfinite(log.tool[:, 0])) for log in logs]
     if not all(map(len, known)):
         return
-    page.heading("Tool in space")
     # Evenly in time: a path has no extremes of one axis that would stand for the others.
     rows = [one[drawn(len(one), POINTS)] for one in known]
     paths = [(log.tool[some, :3] * 1000.0).astype(np.float32) for log, some in zip(logs, rows, strict=True)]
     by_time = {"color": logs[0].time_s[rows[0]].astype(np.float32), "colorbar": {"title": {"text": "time, s"}}}
-    with page.chart("Path of the tool in space", "Tool path by the encoders", "", "", height=560) as chart:
+    with page.chart(**ABOUT["tool chart"]) as chart:
         for log, points, colour in zip(logs, paths, (COLOURS[3], COLOURS[0]), strict=False):
             (x, y, z), line = points.T, {"color": colour} if len(logs) == 2 else by_time
             chart.add("scatter3d", x=x, y=y, z=z, mode="lines", line=line, name=log.path.name)
@@ -236,8 +231,7 @@ def _line_figures(page: Page, *logs: Timeline) -> None:
     page.heading("Straightness of the runs")
     told = "Distance of the tool, by the encoders, from the line between the commanded ends"
     page.table(("run", "mean mm", "maximum mm", "time s"), rows, f"{told} of each run (Raharjo et al. eqs. 19, 20).")
-    description = "Distance of the tool from the line along each run"
-    with page.chart(description, "Distance from the line", "along the line, mm", "distance, mm", height=320) as chart:
+    with page.chart(**ABOUT["line chart"]) as chart:
         for drawn in curves:
             distance_curve(chart, *drawn)
 

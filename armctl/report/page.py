@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
@@ -72,15 +72,11 @@ def in_space(chart: Figure, points: FloatArray, unit: str = "mm") -> None:
     chart.layout |= {"scene": scene, "margin": {**chart.layout["margin"], "l": 0, "r": 0, "b": 0}}
 
 
-class Marked(str):
+class Marked(NamedTuple):
     """A table's cell with a look of its own: `kind` is a class of `page.css`."""
 
+    text: str
     kind: str
-
-    def __new__(cls, text: str, kind: str) -> Self:
-        marked = super().__new__(cls, text)
-        marked.kind = kind
-        return marked
 
 
 class Page:
@@ -120,8 +116,8 @@ class Page:
             return "<tr>" + "".join(map(cell, cells, [tag] * len(cells))) + "</tr>"
 
         def cell(content: object, tag: str) -> str:
-            kind = f' class="{content.kind}"' if isinstance(content, Marked) else ""
-            return f"<{tag}{kind}>{html.escape(str(content))}</{tag}>"
+            text, look = (content.text, f' class="{content.kind}"') if isinstance(content, Marked) else (content, "")
+            return f"<{tag}{look}>{html.escape(str(text))}</{tag}>"
 
         body = "".join(line(row, "td") for row in rows)
         # Beside the table and not in it: what is wider than a phone is moved sideways, its explanation is not.
@@ -132,12 +128,17 @@ class Page:
         self._blocks.append(f'<div class="wide"><table{kind}>{head}<tbody>{body}</tbody></table></div>{note}')
 
     @contextmanager
-    def chart(self, description: str, title: str, x: str, y: str, height: int = 420, **y_axis: Any) -> Iterator[Figure]:
+    def chart(
+        self, description: str, title: str, x: str, y: str, height: int = 420, heading: str = "", **y_axis: Any
+    ) -> Iterator[Figure]:
         """An empty chart with a title and axes, for the caller to draw on; it is added to the page afterwards.
 
         Args:
+            heading: Stands above it; empty: none does.
             y_axis: As plotly.js's `layout.yaxis`.
         """
+        if heading:
+            self.heading(heading)
         chart = axes(x, y, height, **y_axis)
         around = {"margin": {"l": 60, "r": 20, "t": 50, "b": 50}, "legend": {"font": {"size": 11}}}
         chart.layout |= {"title": {"text": title}, **around}
@@ -177,12 +178,9 @@ class Page:
     def html(self) -> str:
         """The whole page."""
         script = f"<script>\n{_CHARTS.read_text(encoding='utf-8')}</script>" if self._has_script else ""
-        style = _STYLE.read_text(encoding="utf-8")
-        return (
-            f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{html.escape(self._title)}</title>'
-            f'<meta name="viewport" content="width=device-width, initial-scale=1"><style>\n{style}</style></head>'
-            f"<body>{self._blocks[0]}{self._list_of_contents()}{''.join(self._blocks[1:])}{script}</body></html>\n"
-        )
+        title, style = html.escape(self._title), _STYLE.read_text(encoding="utf-8")
+        body = "".join([self._blocks[0], self._list_of_contents(), *self._blocks[1:], script])
+        return str(TEXTS["html"].format(title=title, style=style, body=body))
 
     def write(self, path: Path) -> None:
         """Write the page to `path`.

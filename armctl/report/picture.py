@@ -12,6 +12,7 @@ import numpy as np
 from armctl.recording.disk import writing
 from armctl.recording.recordings import drawn as evenly
 from armctl.report.line import ExperimentReport, LineRun, along_and_off
+from armctl.report.page import TEXTS
 from armctl.trajectory.straightness import errors_mm
 
 WIDTH = 800
@@ -47,11 +48,7 @@ def svg(report: ExperimentReport) -> str:
             top += height
     top += LINE_HEIGHT
     style = STYLE.read_text(encoding="utf-8")
-    return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {top:.0f}" role="img">'
-        f"<title>The tool's path before and after correction</title><style>\n{style}</style>"
-        f'<rect class="paper" width="{WIDTH}" height="{top:.0f}" rx="10"/>{"".join(blocks)}</svg>\n'
-    )
+    return str(TEXTS["picture"].format(width=WIDTH, height=top, style=style, drawn="".join(blocks)))
 
 
 def _told(report: ExperimentReport, when: str, run: LineRun) -> str:
