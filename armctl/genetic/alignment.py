@@ -17,6 +17,7 @@ of their mean, where a jump would be too fast, and what two hands do wrong on op
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from itertools import combinations
 from typing import NamedTuple
 
@@ -98,13 +99,11 @@ def with_blends(some: Candidates, arm: ArmConfig, chain: SerialChain, A: FloatAr
         if len(positions) >= MOST_CANDIDATES:
             break
         blend = some.positions_rad[list(pair)].mean(axis=0)
-        try:
+        with suppress(UnreachableTarget):  # postures too different to be between them
             for end, target in ((0, A), (-1, B)):
                 blend[end, : chain.n] = solve_position(chain, target, blend[end, : chain.n], limits)
-        except UnreachableTarget:  # postures too different to be between them
-            continue
-        positions.append(blend)
-        takes.append(list(pair))
+            positions.append(blend)
+            takes.append(list(pair))
     return _candidates(chain, some.progress, np.array(positions), np.array(takes))
 
 

@@ -14,7 +14,6 @@ import numpy as np
 
 from armctl.config import ArmConfig
 from armctl.dynamixel import ax12a
-from armctl.dynamixel.ax12a import Register
 from armctl.dynamixel.packet import BROADCAST_ID, Instruction, Packet
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
@@ -70,7 +69,7 @@ class SimulatedArm:
         """Time integrated since the first `advance` [s]."""
         return self._body.step * STEP_S
 
-    def set_all(self, register: Register, value: int) -> None:
+    def set_all(self, register: ax12a.Register, value: int) -> None:
         """Put a value into every servo's table, as the factory or a wizard's hand does."""
         for servo in self.servos:
             servo.set(register, value)

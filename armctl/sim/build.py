@@ -44,7 +44,8 @@ def build(arm: ArmConfig, spec: ArmSpec, seed: int) -> tuple[SerialChain, list[J
     if spec.geometry != PERFECT:
         chain = draws.chain(robot.with_lengths(draws.lengths_m(lengths_m)).chain)
         for joint in joints:
-            joint.misplace(draws.zero_rad(), draws.deviation(spec.shaft_friction_Nm))
+            joint.zero_rad += draws.zero_rad()  # the horn is turned on its shaft, which stays where it is
+            joint.deviation = draws.deviation(spec.shaft_friction_Nm)
     for joint in joints:
         joint.stall_Nm = joint.spec.stall_torque_Nm * (1.0 + spec.stall_spread * float(rng.uniform(-1.0, 1.0)))
         _make_its_own(joint, draws)

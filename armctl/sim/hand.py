@@ -140,12 +140,7 @@ class Hand:
         for share_of_line in (0.0, 0.5, 1.0):
             q = solve_position(self._chain, line[0] + share_of_line * (line[1] - line[0]), q, self._limits)
         take.knots_rad.append(self._solve(take, 0.0, line_s, guess))
-        way = max(abs(to - at) for to, at in zip(take.knots_rad[0], take.from_rad, strict=False))
-        carry_s = max(CARRY_MIN_S, 1.875 * way / CARRY_SPEED_RAD_S)  # minimum jerk peaks at 1.875 of its mean
-        begin_s = carry_s + DWELL_BEFORE_S
-        take.when = Guided(begin_s + line_s + DWELL_AFTER_S, begin_s, begin_s + line_s)
-        self._take = take
-        return take.when
+        return self._begin(take, line_s, DWELL_AFTER_S)
 
     def hold(self, joints_rad: FloatArray, free: int | None = None) -> Guided:
         """Lead every joint to a position [rad], shape (n,), and hold it there, as one does who sets an arm up.
@@ -155,10 +150,15 @@ class Hand:
         """
         to_rad = [math.nan if i == free else float(q) for i, q in enumerate(joints_rad)]
         from_rad, nothing = self._held_rad(), np.zeros(3)
-        way = np.nanmax(np.abs(np.subtract(to_rad, from_rad)))
-        begin_s = max(CARRY_MIN_S, 1.875 * float(way) / CARRY_SPEED_RAD_S) + DWELL_BEFORE_S
         take = _Take(0, self._now_s(), from_rad, (nothing, nothing), nothing, nothing, nothing, [to_rad, to_rad])
-        take.when = Guided(begin_s, begin_s, begin_s)
+        return self._begin(take)
+
+    def _begin(self, take: _Take, line_s: float = 0.0, after_s: float = 0.0) -> Guided:
+        """Take the arm up, from now on; when which part of it happens."""
+        ways = (abs(to - at) for to, at in zip(take.knots_rad[0], take.from_rad, strict=False) if not math.isnan(to))
+        # Minimum jerk peaks at 1.875 of its mean.
+        begin_s = max(CARRY_MIN_S, 1.875 * max(ways, default=0.0) / CARRY_SPEED_RAD_S) + DWELL_BEFORE_S
+        take.when = Guided(begin_s + line_s + after_s, begin_s, begin_s + line_s)
         self._take = take
         return take.when
 

@@ -108,11 +108,6 @@ class Joint:
             shaft_rad += self.deviation.at(shaft_rad)
         return self.direction * (shaft_rad - self.zero_rad)
 
-    def misplace(self, zero_rad: float, deviation: Deviation) -> None:
-        """Turn the horn on its shaft, which stays where it is, and let the link deviate; before time begins."""
-        self.zero_rad += zero_rad
-        self.deviation = deviation
-
     def settle(self, *, carried: bool) -> None:
         """Let the link come to where its load has it.
 

@@ -31,7 +31,6 @@ from armctl.kinematics.transform import quaternion_from_matrix
 from armctl.kinematics.urdf import moving_frames, urdf
 from armctl.messages import Event, Fault, Inputs, JointState, Mode, Outputs, Sample, ServoReading, TickRecord, ToolPose
 from armctl.recording import channels
-from armctl.recording.channels import TOPICS, Anchor, Message, Topic
 from armctl.recording.schemas import full_name, schema_text, short_name
 
 if TYPE_CHECKING:
@@ -41,7 +40,7 @@ if TYPE_CHECKING:
 
 HOST = "127.0.0.1"
 RETRY_S = 1.0
-STATUS = Topic("/armctl/status", full_name("std_msgs/String"))
+STATUS = channels.Topic("/armctl/status", full_name("std_msgs/String"))
 SOURCE = "armctl.live"
 STALE_S = 0.2
 _TOLD = (
@@ -49,7 +48,7 @@ _TOLD = (
     channels.ROBOT_DESCRIPTION,
 )  # fmt: skip
 # Every topic of the stream.
-PUBLISHED: dict[str, Topic] = {**{name: TOPICS[name] for name in _TOLD}, STATUS.name: STATUS}
+PUBLISHED: dict[str, channels.Topic] = {**{name: channels.TOPICS[name] for name in _TOLD}, STATUS.name: STATUS}
 
 
 class Encoder:
@@ -65,12 +64,12 @@ class Encoder:
         self._state = ""
         self._faults: list[Event] = []
 
-    def latched(self, epoch_ns: int) -> list[Message]:
+    def latched(self, epoch_ns: int) -> list[channels.Message]:
         """What a viewer needs once: the description and the frames that do not move."""
         description = channels.string_message(channels.ROBOT_DESCRIPTION, urdf(self._arm, self._robot))
         return [description, channels.static_transforms(epoch_ns, self._arm, self._robot)]
 
-    def messages(self, snapshot: dict[str, Any], epoch_ns: int) -> list[Message]:
+    def messages(self, snapshot: dict[str, Any], epoch_ns: int) -> list[channels.Message]:
         """Everything one snapshot says.
 
         Args:
@@ -87,7 +86,7 @@ class Encoder:
         self._state, self._faults = snapshot["state"], faults
         messages = [channels.string_message(STATUS.name, json.dumps(snapshot, allow_nan=False))]
         if snapshot["state"] in set(Mode) and snapshot["tick"] is not None:  # else nothing is known of the arm yet
-            record, anchor = self._record(snapshot), Anchor(epoch_ns, 0)
+            record, anchor = self._record(snapshot), channels.Anchor(epoch_ns, 0)
             told = channels.output_messages(record, anchor, self._arm, self._robot)
             messages += [message for message in told if message[0] in PUBLISHED]
             messages.append(channels.diagnostics(record, anchor, self._arm))
@@ -172,7 +171,7 @@ class Stream:
             raise ArmctlError(f"{HOST}:{port}: cannot listen there: {error}; choose another with --port") from None
         self.port: int = self._server.port
 
-    def send(self, messages: list[Message], epoch_ns: int) -> None:
+    def send(self, messages: list[channels.Message], epoch_ns: int) -> None:
         """Hand messages to every viewer that asked for their topics."""
         for topic, value in messages:
             self._channels[topic].log(PUBLISHED[topic].codec.encode(value), log_time=epoch_ns)

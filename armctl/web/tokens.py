@@ -130,10 +130,9 @@ def revoke(path: Path, name: str) -> Person:
         ConfigError: nobody of that name has one, or the file cannot be read or written.
     """
     with _changing(path) as known:
-        for one in known:
-            if one.name == name:
-                known.remove(one)
-                return one
+        if found := next((one for one in known if one.name == name), None):
+            known.remove(found)
+            return found
         names = ", ".join(one.name for one in known) or "nobody"
         raise ConfigError("armctl web token", "NAME", f"{name[:80]} has no token", f"who has one: {names}")
 
