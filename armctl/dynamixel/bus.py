@@ -28,7 +28,7 @@ from dynamixel_sdk import COMM_RX_TIMEOUT, COMM_SUCCESS, COMM_TX_FAIL
 
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.ax12a import IMPOSSIBLE_BITS, ErrorBit, Register, Seen, believable, position_tick
-from armctl.dynamixel.packet import BROADCAST_ID, OVERHEAD_BYTES, Instruction, encode_instruction
+from armctl.dynamixel.packet import BROADCAST_ID, HEADER, OVERHEAD_BYTES, Instruction, encode_instruction
 from armctl.dynamixel.port import ADAPTER_LATENCY_MS, DRAIN_ROUNDS, NS_PER_MS, QUIET_MS, ServoPort
 from armctl.errors import PortGone
 from armctl.messages import Goal, Sample, ServoReading, Write
@@ -156,7 +156,8 @@ class ServoBus:
         if not self.is_open:
             return False
         goals = b"".join(struct.pack("<BHH", *one) for one in zip(self.servo_ids, goal.ticks, goal.speeds, strict=True))
-        packet = encode_instruction(BROADCAST_ID, Instruction.SYNC_WRITE, bytes((ax12a.GOAL.address, 4)) + goals)
+        body = bytes((BROADCAST_ID, len(goals) + 4, Instruction.SYNC_WRITE, ax12a.GOAL.address, 4)) + goals
+        packet = HEADER + body + bytes((~sum(body) & 0xFF,))
         try:
             self.port.clearPort()
             return self.port.writePort(packet) == len(packet)
