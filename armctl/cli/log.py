@@ -214,7 +214,6 @@ def merge(output: Output, logs: tuple[Path, ...], out: Path) -> None:
 
 
 def _edited(output: Output, result: Any) -> None:
-    answer = asdict(result) | {"path": str(result.path)}
-    output.answer(answer, f"{result.messages} messages, {result.duration_s:.1f} s: {result.path}")
+    output.answer(asdict(result) | {"path": str(result.path)})
     if result.damaged:
         output.warn(f"{result.damaged} damaged places were left out")

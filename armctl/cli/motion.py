@@ -183,14 +183,7 @@ def transfer_command(
     if out is not None:
         report.write(done, out)
     rows = report.table(done)
-    result = {
-        "recording": log_path.stem,
-        "log": str(log_path),
-        "cycle": request.model_dump(),
-        "rows": rows,
-        "report": None if out is None else str(out),
-        **answer,
-    }
-    if not output.result(result):
+    told = {"recording": log_path.stem, "log": str(log_path), "cycle": request.model_dump(), "rows": rows}
+    if not output.result({**told, "report": None if out is None else str(out), **answer}):
         show_rows(output.console, "transfer", "Peaks of the paw's midpoint", rows)
         output.say(f"recorded: {log_path}" + ("" if out is None else f"; drawn: {out}"))

@@ -73,8 +73,7 @@ def set_return_delay_command(output: Output, servo: str, delay_us: int) -> None:
             require_writable(bus, servo_id)
         for servo_id in servo_ids:
             write_register(bus, servo_id, ax12a.RETURN_DELAY, steps)
-    answer = {"ids": list(servo_ids), "return_delay_us": steps * 2}
-    output.answer(answer, f"servo {', '.join(map(str, servo_ids))}: return delay {steps * 2} us")
+    output.answer({"ids": list(servo_ids), "return_delay_us": steps * 2}, who=", ".join(map(str, servo_ids)))
 
 
 def _servo_ids(output: Output, servo: str) -> tuple[int, ...]:
@@ -137,8 +136,7 @@ def eeprom_save(output: Output, file: Path) -> None:
     servo_ids = output.arm.servo_ids
     with opened(output) as bus:
         servos = save(bus, servo_ids, file).servos
-    answer = {"path": str(file), "servos": [servo.model_dump() for servo in servos]}
-    output.answer(answer, f"EEPROM of {len(servos)} servos in {file}")
+    output.answer({"path": str(file), "servos": [servo.model_dump() for servo in servos]}, count=len(servos))
 
 
 @command("diff", *WIRING, group=eeprom_command)

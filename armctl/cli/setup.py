@@ -23,6 +23,7 @@ import click
 from armctl.cli.keys import attended
 from armctl.cli.output import ARM, BAUD, CONFIG, PORT, SOCKET, Output, command
 from armctl.cli.tables import show_rows
+from armctl.commissioning.texts import refusal, said
 from armctl.errors import ArmctlError, ConfigError, NoDaemon, RequestRefused
 from armctl.files import calibration_dirs, data_dir, find_arm_file, load_arm, served_socket
 
@@ -89,9 +90,7 @@ def setup_command(output: Output, arm_file: str | None, answers: Path | None) ->
     kind = arm_file or person.ask("kind", "which arm is yours like?", kinds)
     arm, path = load_arm(kind), active_path(kind)
     if arm.pairs:
-        text = "two servos on one joint turn together, which no question here tells apart"
-        remedy = "copy its file, give its servos their ids, then `armctl calibrate --pairs`"
-        raise ConfigError(kind, "pair", text, remedy)
+        raise ConfigError(kind, "pair", said("pair apart"), said("pair apart, help"))
     name = arm.arm_id
     if path.resolve() != find_arm_file(kind).resolve():  # it comes with armctl; yours gets a name of its own
         name = person.ask("name", "what shall yours be called? A word, such as my-arm")
@@ -142,8 +141,8 @@ class AtTerminal:
             if len(fitting) == 1:
                 return fitting[0]
 
-    def again(self, refusal: RequestRefused) -> bool:
-        text = f"{refusal}\ntry again, or break off?"
+    def again(self, defect: RequestRefused) -> bool:
+        text = f"{defect}\ntry again, or break off?"
         return not self._prepared and self.ask("again", text, ("again", "q")) == "again"
 
     def _show(self, key: str, text: str, choices: Sequence[str]) -> None:
@@ -313,8 +312,7 @@ def _refuse_moving(commands: Iterable[Sequence[str]]) -> None:
             continue
         with contextlib.suppress(NoDaemon), Client(served_socket(found[1] or "armctl"), timeout_s=2.0) as client:
             if (state := client.call("status")["state"]) not in AT_REST:
-                what = f"{words[-1]} has to be restarted, and its arm is {state}; nothing was changed"
-                raise RequestRefused("MOVING", f"{what}; wait, or type `armctl stop`, then install again")
+                raise refusal("MOVING", unit=words[-1], state=state)
 
 
 @command("uninstall")

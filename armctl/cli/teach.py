@@ -14,6 +14,7 @@ from armctl.cli.jobs import OWN_LINE, WANTED, in_words
 from armctl.cli.keys import attended, keys
 from armctl.cli.output import SOCKET, Output, Point, command
 from armctl.client import Client
+from armctl.commissioning.texts import refusal, said
 from armctl.errors import ConfigError, LogError, RequestRefused
 
 # How near its start a take begins.
@@ -48,8 +49,7 @@ def teach_command(
     if (from_m is None) != (to_m is None) or (from_m and from_m == to_m):
         raise ConfigError("armctl teach", "--from/--to", "a line has two ends", "give both, not the same, or neither")
     if not yes and not attended(sys.stdin):
-        why = "teach makes the arm limp, and nobody can be asked: there is no terminal, or it runs in the background"
-        raise RequestRefused("NOT_CONFIRMED", f"{why}; support the arm, then type `armctl teach {name} --yes`")
+        raise refusal("NOT_CONFIRMED", name=name)
     names = [name] if takes == 1 else [f"{name}-{take}" for take in range(1, takes + 1)]
     line: dict[str, Any] = {} if from_m is None else {"from_m": from_m, "to_m": to_m}
     made = []
@@ -158,14 +158,13 @@ class Tool:
         if self.states is not None and snapshot["state"] not in self.states:
             fault = snapshot["fault"]
             why = f"{fault['code']}: {fault['text']}" if fault else f"the arm is {snapshot['state']}"
-            raise RequestRefused("TEACH_ENDED", f"teaching ended: {why}; finished takes are kept")
+            raise refusal("TEACH_ENDED", why=why)
         x, y, z = snapshot["tool"]["position_m"]
         speed_m_s = snapshot["tool"]["speed_m_s"] or 0.0
         limit_m_s = snapshot["tool_speed_limit_m_s"]
         if speed_m_s > limit_m_s and not self._warned:
             self._warned = True
-            speed, limit = (f"{1000.0 * value:.0f}" for value in (speed_m_s, limit_m_s))
-            self._output.say(f"the tool moves at {speed} mm/s; slower than {limit} is safer and smoother")
+            self._output.say(said("fast", speed_mm_s=1e3 * speed_m_s, limit_mm_s=1e3 * limit_m_s))
         self._recent.append((x, y, z))
         place = ", ".join(f"{1000.0 * value:.0f}" for value in (x, y, z))
         self._output.live(f"tool {place} mm  {1000.0 * speed_m_s:.0f} mm/s{self._way((x, y, z))}")

@@ -141,9 +141,8 @@ def check_servos(
     if latencies_ms:
         latency_ms = median(latencies_ms)
         bus.port.allow_latency(max(ADAPTER_LATENCY_MS, latency_ms))
-        fix = f"echo {MAX_LATENCY_TIMER_MS} | sudo tee /sys/bus/usb-serial/devices/*/latency_timer"
         value = f"adds {latency_ms:.1f} ms to every reply, at most {SLOW_ADAPTER_MS:.0f} ms are fit for motion"
-        checks.append(_check("adapter_latency", latency_ms <= SLOW_ADAPTER_MS, value, fix))
+        checks.append(_check("adapter_latency", latency_ms <= SLOW_ADAPTER_MS, value))
         if not missing:
             checks.append(_cycle_check(bus, period_s))
     if not bus.is_open:
@@ -234,7 +233,6 @@ def _servo_checks(
     error, tripped = status.error | table.error, now(ax12a.TORQUE_LIMIT) == 0
     error_fix = next((REMEDIES["error_bits"][bit] for bit in ax12a.ErrorBit.names(error)), "")
     torque = "torque limit 0: it has shut itself down" if tripped else "on" if now(ax12a.TORQUE_ENABLE) else "off"
-    volts_fix = f"give the servos {VOLTAGE_V[0]:.0f} to {VOLTAGE_V[1]:.1f} V"
     rows = [
         ("model", not wrong, str(model), f"wanted {wrong}"),
         ("firmware", True, str(stored(ax12a.FIRMWARE)), ""),
@@ -244,7 +242,7 @@ def _servo_checks(
         ("angle_limits", not {ax12a.CW_LIMIT, ax12a.CCW_LIMIT} & unfit.keys(), limits, mend),
         ("shutdown", ax12a.SHUTDOWN not in unfit, _bits(mask), mend),
         ("temperature_limit", ax12a.TEMPERATURE_LIMIT not in unfit, f"{hottest} degC", mend),
-        ("voltage", VOLTAGE_V[0] <= volts <= VOLTAGE_V[1], f"{volts:.1f} V", volts_fix),
+        ("voltage", VOLTAGE_V[0] <= volts <= VOLTAGE_V[1], f"{volts:.1f} V", ""),
         ("temperature", heat < HOT_DEGC, f"{heat} degC", ""),
         ("error_bits", not error, _bits(error), error_fix),
         ("torque", not tripped, torque, ""),

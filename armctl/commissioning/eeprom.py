@@ -20,6 +20,7 @@ from pydantic import Field
 
 from armctl.commissioning.arm_file import refuse_taken, write
 from armctl.commissioning.scan import scan
+from armctl.commissioning.texts import refusal, said
 from armctl.config import Frozen, parse_yaml, validate
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.bus import PORT_GONE, ServoBus
@@ -185,9 +186,8 @@ def restore(bus: ServoBus, snapshot: Snapshot, servo_ids: Sequence[int] = ()) ->
         for register in (ax12a.MODEL, ax12a.BAUD):
             wanted = held[servo_id].registers.get(register.name, present[register.name])
             if present[register.name] != wanted:
-                remedy = "this is another servo" if register is ax12a.MODEL else "first use `armctl servo set-baud`"
-                reason = f"servo {servo_id}: {register.name} is {present[register.name]}, the file says {wanted}"
-                refusals.append(f"{reason}; {remedy}")
+                key, told = "other model" if register is ax12a.MODEL else "other baud", {"register": register.name}
+                refusals.append(said(key, servo_id=servo_id, found=present[register.name], wanted=wanted, **told))
     if refusals:
         raise RequestRefused("NOT_RESTORED", refusals)
     subset = Snapshot(servos=tuple(held[servo_id] for servo_id in chosen))
@@ -209,12 +209,10 @@ def mend(bus: ServoBus, joints: Sequence[ServoJoint]) -> list[Difference]:
     for joint in joints:
         require_writable(bus, joint.servo_id)
     tables = [read_table(bus, joint.servo_id, 0, ax12a.EEPROM_END) for joint in joints]
-    changed: list[Difference] = []
-    for joint, table in zip(joints, tables, strict=True):
-        for it in unfit_registers(joint, table):
-            write_confirmed(bus, joint.servo_id, it.register, it.value)
-            changed.append(Difference(joint.servo_id, it.register.name, it.value, it.found))
-    return changed
+    unfit = [(joint, it) for joint, table in zip(joints, tables, strict=True) for it in unfit_registers(joint, table)]
+    for joint, it in unfit:
+        write_confirmed(bus, joint.servo_id, it.register, it.value)
+    return [Difference(joint.servo_id, it.register.name, it.value, it.found) for joint, it in unfit]
 
 
 def set_id(bus: ServoBus, old: int, new: int) -> None:
@@ -232,12 +230,12 @@ def set_id(bus: ServoBus, old: int, new: int) -> None:
         raise ConfigError("id", str(new), "old and new are the same")
     require_writable(bus, old)
     if _answers(bus, new):
-        raise RequestRefused("ID_TAKEN", f"servo {new} already answers; give it another id first, or take it off")
+        raise refusal("ID_TAKEN id", servo_id=new)
     bus.write(Write(old, ax12a.ID.address, ax12a.ID.size, new))
     if bus.read(new, ax12a.ID) != new:
         raise _not_taken(bus, f"servo {old}: it does not answer as {new}")
     if _answers(bus, old):
-        raise RequestRefused("DUPLICATE_ID", f"servo {new} is found, but {old} still answers: there were two of them")
+        raise refusal("DUPLICATE_ID still", servo_id=new, old=old)
 
 
 def set_baud(bus: ServoBus, servo_id: int, baud: int) -> int:
@@ -254,8 +252,7 @@ def set_baud(bus: ServoBus, servo_id: int, baud: int) -> int:
     value = round(BAUD_UNIT / baud) - 1 if 0 < baud <= MAX_BAUD else -1
     real = BAUD_UNIT // (value + 1) if value >= 0 else 0
     if not 1 <= value <= ax12a.BAUD.maximum or abs(real / baud - 1.0) > BAUD_TOLERANCE:
-        usual = "1000000, 500000, 400000, 250000, 200000, 115200, 57600, 19200, 9600"
-        raise ConfigError("baud", str(baud), "no rate of an AX-12A", f"it has 2000000 / (n + 1): {usual}")
+        raise ConfigError("baud", str(baud), "no rate of an AX-12A", said("bauds"))
     require_writable(bus, servo_id)
     before = bus.port.baudrate
     if before != baud:
@@ -263,7 +260,7 @@ def set_baud(bus: ServoBus, servo_id: int, baud: int) -> int:
         taken = _answers(bus, servo_id)
         bus.port.setBaudRate(before)
         if taken:
-            raise RequestRefused("ID_TAKEN", f"another servo {servo_id} answers at {baud} baud; change its id first")
+            raise refusal("ID_TAKEN baud", servo_id=servo_id, baud=baud)
     bus.write(Write(servo_id, ax12a.BAUD.address, ax12a.BAUD.size, value))
     bus.port.setBaudRate(baud)
     if bus.read(servo_id, ax12a.BAUD) == value:
@@ -282,15 +279,12 @@ def require_writable(bus: ServoBus, servo_id: int) -> None:
     """
     bus.port.allow_latency(IDENTIFY_LATENCY_MS)
     if answers_twice(bus, servo_id):
-        text = "two servos answer to this id; connect them one at a time and give each its own"
-        raise RequestRefused("DUPLICATE_ID", f"servo {servo_id}: {text}")
+        raise refusal("DUPLICATE_ID asked", servo_id=servo_id)
     status = read_table(bus, servo_id, ax12a.STATUS_BEGIN, ax12a.STATUS_SIZE)
     if ax12a.register_value(ax12a.TORQUE_ENABLE, status):
-        text = "torque is on, and then its EEPROM is read-only; support the arm and let it go limp: `armctl release`"
-        raise RequestRefused("TORQUE_ON", f"servo {servo_id}: {text}")
+        raise refusal("TORQUE_ON eeprom", servo_id=servo_id)
     if ax12a.register_value(ax12a.LOCK, status):
-        text = "its EEPROM is locked until it is powered off; switch its power off and on"
-        raise RequestRefused("LOCKED", f"servo {servo_id}: {text}")
+        raise refusal("LOCKED", servo_id=servo_id)
 
 
 def write_confirmed(bus: ServoBus, servo_id: int, register: ax12a.Register, value: int) -> None:
@@ -328,6 +322,5 @@ def read_table(bus: ServoBus, servo_id: int, begin: int, size: int) -> bytes:
     if reply.problem == PORT_GONE:
         raise PortGone(f"{bus.port.port_name}: the port vanished; plug the adapter in again")
     if reply.problem:
-        text = f"cannot be read at {bus.port.baudrate} baud ({reply.problem}); find it with `armctl scan --baud all`"
-        raise RequestRefused("SERVO_SILENT", f"servo {servo_id}: {text}")
+        raise refusal("SERVO_SILENT table", servo_id=servo_id, baud=bus.port.baudrate, problem=reply.problem)
     return reply.data

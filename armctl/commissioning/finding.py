@@ -10,6 +10,7 @@ from typing import Protocol
 
 from armctl.commissioning import eeprom
 from armctl.commissioning.scan import USUAL_BAUDS, FoundServo, scan
+from armctl.commissioning.texts import refusal, said
 from armctl.config import Frozen, parse_yaml
 from armctl.dynamixel import ax12a, servos
 from armctl.dynamixel.bus import ServoBus
@@ -28,7 +29,7 @@ class Person(Protocol):
         """Have something done, or answered by one of the choices; the key names the question in prepared answers."""
         ...
 
-    def again(self, refusal: RequestRefused) -> bool:
+    def again(self, defect: RequestRefused) -> bool:
         """Tell what is wrong; whether to try again."""
         ...
 
@@ -53,7 +54,7 @@ class Prepared:
             raise ConfigError(self._file, key, f"{found!r} does not answer {text!r}", f"one of: {', '.join(choices)}")
         return found
 
-    def again(self, refusal: RequestRefused) -> bool:
+    def again(self, defect: RequestRefused) -> bool:
         return False
 
 
@@ -85,14 +86,12 @@ def every_servo(opened: Opened, person: Person, needed: int) -> tuple[Servo, ...
         elif len(found) >= needed:
             return tuple(map(_driven, found))
         elif not bent:  # two of one id that read the same look like one
-            text = "a servo is missing: bend the arm by hand, so that no two joints stand alike, and hold it"
-            person.ask("bend", text)
+            person.ask("bend", said("bend"))
             bent = True
         else:
             break
     ids = ", ".join(str(one.servo_id) for one in found) or "none"
-    remedy = "check the supply, and the cable and the id of the one that is missing"
-    raise RequestRefused("SERVO_MISSING", f"{len(found)} of {needed} servos answer ({ids}); {remedy}")
+    raise refusal("SERVO_MISSING", found=len(found), needed=needed, ids=ids)
 
 
 def _part(opened: Opened, person: Person, clash: FoundServo, found: Sequence[FoundServo]) -> None:
@@ -130,6 +129,5 @@ def _driven(one: FoundServo) -> Servo:
     model = None if one.model is None else servos.by_number(one.model)
     if model is not None:
         return Servo(servo_id=one.servo_id, model=model.name)
-    mute = f"answers no READ; `armctl servo set {one.servo_id} status_return_level 2`"
-    text = mute if one.model is None else f"is model {one.model}, which armctl does not drive; take it off"
-    raise RequestRefused("WRONG_MODEL", f"servo {one.servo_id} {text}")
+    key = "WRONG_MODEL mute" if one.model is None else "WRONG_MODEL other"
+    raise refusal(key, servo_id=one.servo_id, model=one.model)

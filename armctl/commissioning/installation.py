@@ -26,6 +26,7 @@ from typing import NamedTuple
 import yaml
 
 from armctl.commissioning.arm_file import whole_text
+from armctl.commissioning.texts import said
 from armctl.config import NAME_PATTERN, Config, parse_yaml, validate
 from armctl.errors import ArmctlError, ConfigError
 from armctl.files import find_arm_file, load_arm, load_config, shipped_dirs
@@ -177,14 +178,11 @@ def installation(
 def _check_program(prefix: Path) -> None:
     program = prefix / "bin" / "armctl"
     if not re.fullmatch(PLAIN_PATH, str(prefix)):
-        what = "a unit wants an absolute path of letters, digits and . _ + -"
-        raise ConfigError(str(prefix), "--prefix", what, "install armctl in /opt/armctl")
+        raise ConfigError(str(prefix), "--prefix", said("prefix"), "install armctl in /opt/armctl")
     if not program.is_file():
         raise ConfigError(str(program), "", "no such program", "install armctl into the environment that runs this")
     if any(prefix.is_relative_to(private) for private in ("/home", "/root", "/run/user")):
-        install = "/opt/armctl/bin/pip install CHECKOUT_OR_WHEEL, then /opt/armctl/bin/armctl install"
-        remedy = f"python3 -m venv /opt/armctl && {install}"
-        raise ConfigError(str(prefix), "", "a system service cannot read a program in a home folder", remedy)
+        raise ConfigError(str(prefix), "", said("home"), said("home, help"))
 
 
 def _settings(arm: str | None, root: Path) -> tuple[File, File]:
@@ -199,8 +197,7 @@ def _settings(arm: str | None, root: Path) -> tuple[File, File]:
         raise ConfigError(str(source), "", "its name is no name of an arm", "letters, digits, '.', '_', '-'")
     target = folder / f"{name}.yaml"
     if arm is not None and target.exists() and target.read_text(encoding="utf-8") != told:
-        what = f"is kept, and is not what {source} says"
-        raise ConfigError(str(target), "", what, f"to install that one, give it another name, or remove {target}")
+        raise ConfigError(str(target), "", *said("kept file", source=source, target=target).split("; ", 1))
     text, keep = f"port: /dev/armctl\narm: {name}\n", True
     if there and arm is not None and there != name:
         before = path.read_text(encoding="utf-8").rstrip() + "\n"

@@ -9,9 +9,10 @@ import numpy as np
 from armctl.clock import NS_PER_S
 from armctl.commissioning.calibration import READING_PERIOD_NS, limp_ticks
 from armctl.commissioning.finding import Opened, Person
+from armctl.commissioning.texts import refusal, said
 from armctl.config import ArmConfig, Servo, validate
 from armctl.dynamixel.bus import ServoBus
-from armctl.errors import ConfigError, RequestRefused
+from armctl.errors import ConfigError
 
 BIN_TICK, LEAST_READINGS = 24, 4
 # A joint that was led by less has not been shown; one that has is done with once it stands for so long.
@@ -32,8 +33,7 @@ def measured(arm: ArmConfig, opened: Opened, person: Person) -> ArmConfig:
     if not pairs:
         raise ConfigError(arm.arm_id, "pair", "no joint of this arm has two servos", "see `armctl help new-arm`")
     for first, second in pairs:
-        how = "slowly, from end to end and back; then let it stand for 2 s"
-        person.ask(f"{first.name}.pair", f"from Enter on lead the limp {first.name} through its range by hand, {how}")
+        person.ask(f"{first.name}.pair", said("pair", name=first.name))
         with opened([first.servo_id, second.servo_id]) as bus:
             told["joints"][first.of]["pair"] = {"servo_id": second.servo_id, "table": _led(bus, first, second)}
     return validate(ArmConfig, told, "what was measured")
@@ -45,8 +45,7 @@ def _led(bus: ServoBus, *servos: Servo) -> list[list[float]]:
     begin_ns = clock.now_ns()
     while len(rows) < STANDS or np.ptp(rows[:, 0]) < LEAST_TICK or np.ptp(rows[-STANDS:, 0]) > STILL_TICK:
         if len(rows) == LONGEST:
-            text = f"{servos[0].name} was not led by 60 deg and left standing within 120 s; try again"
-            raise RequestRefused("NOT_SHOWN", text)
+            raise refusal("NOT_SHOWN pair", name=servos[0].name)
         clock.sleep_until_ns(begin_ns + (len(rows) + 1) * READING_PERIOD_NS)
         rows = np.vstack((rows, limp_ticks(bus, servos)))
     bins, table = rows[:, 0] // BIN_TICK, list[list[float]]()

@@ -13,6 +13,7 @@ import numpy as np
 
 from armctl.clock import NS_PER_S
 from armctl.commissioning.eeprom import mend, read_table, write_confirmed
+from armctl.commissioning.texts import refusal
 from armctl.config import ArmConfig
 from armctl.control.loop import ControlLoop
 from armctl.dynamixel import ax12a
@@ -58,8 +59,7 @@ def wiggle(bus: ServoBus, wall: Wall) -> None:
     servo_id, (low, high) = wall.servo_id, wall.limits_tick
     start = _position(bus, wall)
     if not low + ROOM_TICK <= start <= high - WIGGLE_TICK - ROOM_TICK:
-        text = f"stands at tick {start}, too near to an end of {low}..{high}; bring it to the middle"
-        raise RequestRefused("NO_ROOM", f"servo {servo_id} ({wall.name}) {text}")
+        raise refusal("NO_ROOM", servo_id=servo_id, name=wall.name, tick=start, low=low, high=high)
     mend(bus, [wall])
     farthest = start
     try:
@@ -78,8 +78,7 @@ def wiggle(bus: ServoBus, wall: Wall) -> None:
         write_confirmed(bus, servo_id, ax12a.TORQUE_ENABLE, 0)
     write_confirmed(bus, servo_id, ax12a.TORQUE_LIMIT, ax12a.MAX_TORQUE.default)
     if farthest < start + WIGGLE_TICK - NEAR_TICK:
-        text = f"turned by {farthest - start} of {WIGGLE_TICK} ticks; fold or hold the arm so that it turns freely"
-        raise RequestRefused("NOT_TURNED", f"servo {servo_id} ({wall.name}) {text}")
+        raise refusal("NOT_TURNED", servo_id=servo_id, name=wall.name, ticks=farthest - start, wanted=WIGGLE_TICK)
 
 
 def _reach(bus: ServoBus, wall: Wall, goal: int) -> int:

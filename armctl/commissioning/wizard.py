@@ -21,6 +21,7 @@ from armctl.commissioning.arm_file import drawn, renew, write
 from armctl.commissioning.calibration import calibration_text, read_ticks
 from armctl.commissioning.finding import YES, Opened, Person, Servo, every_servo
 from armctl.commissioning.small_motions import Wall, first_motion, sense, wiggle
+from armctl.commissioning.texts import refusal, said
 from armctl.config import ArmConfig, Frozen, Name, parse_yaml, validate
 from armctl.dynamixel import ax12a
 from armctl.errors import ConfigError, RequestRefused
@@ -119,8 +120,8 @@ class Wizard:
             self._keep()
             try:
                 text = getattr(self, f"_{due[0]}")()
-            except RequestRefused as refusal:
-                if not self._person.again(refusal):
+            except RequestRefused as defect:
+                if not self._person.again(defect):
                     raise
                 due = [*STEPS]  # what was found is kept, and what was thrown away is looked for anew
             else:
@@ -150,31 +151,26 @@ class Wizard:
             return
         servos, readings = [Wall(one.servo_id, "some joint", "", (0, 0)) for one in self.found.servos], []
         for end in ends:
-            how = "hold the limp arm, all other joints still"
-            self._person.ask(f"{name}.{end.replace(' ', '_')}", f"turn {name} to {end} of its range by hand; {how}")
+            self._person.ask(f"{name}.{end.replace(' ', '_')}", said("show", name=name, end=end))
             try:
                 readings.append(self._read(servos))
-            except RequestRefused as refusal:
-                if refusal.code != "SERVO_SILENT":
+            except RequestRefused as mute:
+                if mute.code != "SERVO_SILENT":
                     raise
-                mute = f"{name} at {end}: {str(refusal).split(';')[0]}"
-                raise RequestRefused("UNREAD", f"{mute}; check the cables, and if they are tight, {BLIND}") from None
+                raise refusal("UNREAD", name=name, end=end, why=str(mute).split(";")[0], blind=BLIND) from None
         ways = np.abs(np.diff(readings, axis=0)[0])
         first, *more = np.argsort(-ways).tolist()
         servo, others = self.found.servos[first], {one.servo.servo_id: key for key, one in self.found.joints.items()}
         a, b = readings[0][first], readings[1][first]
-        said, trouble = f"servo {servo.servo_id}", ""
+        told = {"name": name, "servo_id": servo.servo_id, "blind": BLIND}
         if ways[first] < LEAST_TURN_TICK:
-            trouble = f"no servo turned by 30 deg; turn it from end to end, and if that was done, {BLIND}"
-        elif more and ways[more[0]] > ways[first] / 2.0:
-            both = f"{said} and servo {self.found.servos[more[0]].servo_id}"
-            trouble = f"{both} turned together; turn it alone (two servos on one joint: `armctl help new-arm`)"
-        elif servo.servo_id in others:
-            trouble = f"{said} turned, that of {others[servo.servo_id]}; turn it, or remove {progress_path(self.path)}"
-        elif min(a, b) < 1.0 or max(a, b) > ax12a.TICK_MAX - 1.0:
-            trouble = f"{said} reads {a:.0f} and {b:.0f} at its ends; {BLIND}"
-        if trouble:
-            raise RequestRefused("NOT_SHOWN", f"{name}: {trouble}")
+            raise refusal("NOT_SHOWN little", **told)
+        if more and ways[more[0]] > ways[first] / 2.0:
+            raise refusal("NOT_SHOWN both", **told, other=self.found.servos[more[0]].servo_id)
+        if servo.servo_id in others:
+            raise refusal("NOT_SHOWN taken", **told, other=others[servo.servo_id], file=progress_path(self.path))
+        if min(a, b) < 1.0 or max(a, b) > ax12a.TICK_MAX - 1.0:
+            raise refusal("NOT_SHOWN blind", **told, a=a, b=b)
         self._keep(joints=self.found.joints | {name: Found(servo=servo, ends_tick=(a, b))})
 
     # ---------------------------------------------------------------------------------------------- the directions
@@ -187,8 +183,7 @@ class Wizard:
         for name in due:
             wall = self.found.joints[name].wall(name)
             seen = sense(self._robot, middle, self.kind.joint_names.index(name))
-            text = f"{name} turns by 9 deg and back, slowly and weakly. Is it free, and held so that nothing can fall?"
-            if self._person.ask(f"{name}.free", text, YES) != "yes":
+            if self._person.ask(f"{name}.free", said("free", name=name), YES) != "yes":
                 raise RequestRefused("NOT_FREE", f"{name} stays limp until it is free to turn by 9 deg both ways")
             with self._opened((wall.servo_id,)) as bus:
                 wiggle(bus, wall)
@@ -201,17 +196,15 @@ class Wizard:
     # ------------------------------------------------------------------------------------------------------- poses
 
     def _rest(self) -> str:
-        text = "lay the arm down as it may lie limp, and let go of it"
         pose_rad = np.array([joint.rest_rad for joint in self.kind.joints])
-        self._keep(rest_tick=self.found.rest_tick or self._at("rest", text, pose_rad))
+        self._keep(rest_tick=self.found.rest_tick or self._at("rest", said("rest"), pose_rad))
         return "read"
 
     def _zeros(self) -> str:
         pose_rad = known_pose(self.kind)
         named = zip(self.kind.joints, pose_rad, strict=True)
         angles = ", ".join(f"{j.name} {math.degrees(q):.0f} deg" for j, q in named if j.name != self._grip)
-        text = f"hold the arm in this pose, as exactly as you can: {angles}"
-        self._keep(zero_tick=self.found.zero_tick or self._at("zero", text, np.array(pose_rad)))
+        self._keep(zero_tick=self.found.zero_tick or self._at("zero", said("zero", angles=angles), np.array(pose_rad)))
         return "read"
 
     def _at(self, key: str, text: str, pose_rad: np.ndarray, inside: float = 0.0) -> tuple[float, ...]:
@@ -230,8 +223,7 @@ class Wizard:
             if name != self._grip and not low + room <= tick <= high - room:
                 for kept in ("joints", "directions"):
                     self._keep(**{kept: {key: one for key, one in getattr(self.found, kept).items() if key != name}})
-                text = f"servo {servo_id} ({name}) reads {tick:.0f} there, and {low:.0f} to {high:.0f} at its ends"
-                raise RequestRefused("NOT_THERE", f"{text}; show them again, and if they are right, {BLIND}")
+                raise refusal("NOT_THERE", servo_id=servo_id, name=name, tick=tick, low=low, high=high, blind=BLIND)
         return ticks
 
     def _read(self, joints: Sequence[Wall]) -> tuple[float, ...]:
@@ -274,8 +266,7 @@ class Wizard:
         return f"{self.path} is written, and the servos have its limits" + (f"; before: {kept}" if kept else "")
 
     def _motion(self) -> str:
-        text = "the arm gets torque, moves every joint by 5 deg, slowly, and goes to rest; Ctrl-C stops it. Is it free?"
-        moves = self._person.ask("motion", f"lay the arm down in its rest pose. Then {text}", YES) == "yes"
+        moves = self._person.ask("motion", said("motion"), YES) == "yes"
         if moves:
             arm = self.arm()
             with self._opened(arm.servo_ids) as bus:
