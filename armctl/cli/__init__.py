@@ -5,6 +5,7 @@ not wait for a plotting library.
 """
 
 import importlib
+import shlex
 import sys
 from collections.abc import Sequence
 
@@ -66,6 +67,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         The exit status: 0 done, 1 refused or failed, 2 wrong usage, 3 no daemon, 130 interrupted by Ctrl-C.
     """
     output, arguments = Output(), sys.argv[1:] if argv is None else list(argv)
+    output.typed = shlex.join(["armctl", *arguments])
     try:
         result = cli.main(arguments, prog_name="armctl", obj=output, standalone_mode=False)
     except click.ClickException as error:

@@ -5,6 +5,8 @@ The points are touched with a limp arm, without the daemon; `--holding` and `--s
 
 from __future__ import annotations
 
+import shlex
+import sys
 from contextlib import ExitStack
 from datetime import date, datetime
 from functools import partial
@@ -14,16 +16,19 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from armctl.cli.keys import keys
 from armctl.cli.motion import by_keys
 from armctl.cli.output import ARM, BAUD, CONFIG, PORT, SOCKET, Output, command, millimetres
 from armctl.cli.setup import AtTerminal, opened
 from armctl.cli.tables import below, show_rows
+from armctl.commissioning.texts import said
 from armctl.errors import RequestRefused
+from armctl.files import read_text
 
 if TYPE_CHECKING:
     from armctl.client import Client
-    from armctl.commissioning.calibration import Readings
-    from armctl.commissioning.holding import Way
+    from armctl.commissioning.calibration import Touch
+    from armctl.commissioning.holding import Point, Way
     from armctl.config import ArmConfig
 
 # How high above a point the arm is moved before it is led, and how fast at first.
@@ -31,6 +36,8 @@ ABOVE_M, LED_M_S = 0.03, 0.01
 # How many ticks it is looked at where it stands.
 LOOKS = 20
 ASKED = ("armctl calibrate", "or give --readings FILE")
+# With fewer points nobody has measured how good a calibration is.
+FEW = 8
 # Keys at each point, and what they are for.
 KEYS = "s: skip this point; b: take the last touch back"
 
@@ -49,7 +56,8 @@ def calibrate_command(output: Output, points: Path | None, touches: int, way: tu
     near it by keys and press it onto it with a finger. Twists of its axes, waves of its sensors and what its weight
     bends are found as well. Each point is left out of the fit in turn: that shows how good the result is. An arm that
     would be no better stays as it was. The point and the posture that tell most come next, so you may stop early.
-    --sheet draws the points to be printed, or points that are in the arm's reach.
+    --sheet draws the points to be printed, or points that are in the arm's reach. With --readings beside --points a
+    session that broke off goes on: what was touched counts, the rest is asked for, and both are kept there.
 
     --sag: a running daemon moves the arm along eight lines. What gravity and friction do to each joint is kept beside
     the calibration, as NAME.sag.json. --pairs, for joints that two servos turn: both are read while you lead the limp
@@ -61,11 +69,11 @@ def calibrate_command(output: Output, points: Path | None, touches: int, way: tu
     from armctl.commissioning import holding as under_torque
 
     if (sheet := asked.pop("sheet")) is not None:
-        _draw_sheet(output, sheet, points, *way, *asked.values())
+        _draw_sheet(output, sheet, points, touches, *way, *asked.values())
         return
     readings, zero_at, out, save_readings = (asked[key] for key in ("readings", "zero_at", "out", "save_readings"))
-    _refuse_several((points, readings, zero_at), way, (out, save_readings))
-    holding = way == ("holding",)
+    _refuse_several((points or readings, zero_at), way, (out, save_readings))
+    holding = "holding" in way
     if way in (("sag",), ("undo",)):
         (_calibrate_sag if way == ("sag",) else _undo)(output)
         return
@@ -74,7 +82,7 @@ def calibrate_command(output: Output, points: Path | None, touches: int, way: tu
     before = output.arm
     name = output.arm_name or output.config.arm
     path = out or arm_file.active_path(name)
-    arm_file.refuse_taken(out, save_readings)
+    arm_file.refuse_taken(out, None if save_readings == readings else save_readings)
     more, table = dict[str, Any](), "holding" if holding else "limp"
     if way == ("pairs",):
         after = pairs.measured(before, partial(opened, output), AtTerminal(output, *ASKED))
@@ -83,16 +91,15 @@ def calibrate_command(output: Output, points: Path | None, touches: int, way: tu
         after = _zeroed(output, before, zero_at)
         remark = f"zero ticks read in the {zero_at} pose"
     else:
+        made = calibration.load_readings(readings, before) if readings else ()
         if points is not None:
-            usual = save_readings or path.with_name(f"{path.stem}-{datetime.now():%Y%m%d-%H%M%S}.readings")
-            session = _touch_all(output, before, points, touches, usual, holding)
-        else:
-            session = calibration.load_readings(readings or Path(), before)
+            usual = path.with_name(f"{path.stem}-{datetime.now():%Y%m%d-%H%M%S}.readings")
+            made = _touch_all(output, before, points, touches, made, save_readings or readings or usual, holding)
         if save_readings is not None:
-            arm_file.write(save_readings, calibration.readings_text(session))
-        more = (under_torque if holding else calibration).fit(before, session.touches)._asdict()
+            arm_file.write(save_readings, calibration.readings_text(before.arm_id, made))
+        more = (under_torque if holding else calibration).fit(before, made)._asdict()
         after = more.pop("arm")
-        remark = f"{len(session.touches)} touches, {below(table, more)}"
+        remark = f"{len(made)} touches, {below(table, more)}"
     text = calibration.calibration_text(after, [f"Calibrated {date.today().isoformat()} from {name}: {remark}."])
     kept = arm_file.renew(path, text)
     result = {"path": str(path), "changes": _changes(before, after)} | more
@@ -106,14 +113,13 @@ def calibrate_command(output: Output, points: Path | None, touches: int, way: tu
 def _refuse_several(sources: tuple[Any, ...], way: tuple[str, ...], new: tuple[Path | None, ...]) -> None:
     """Refuse anything but one kind of calibration; points may be touched by an arm that holds itself."""
     holding = way == ("holding",)
-    if sum(map(bool, (*sources, *(() if holding else way)))) != 1 or (holding and sources[2]):
-        kinds = "--points FILE, --readings FILE (either with --holding), --zero-at rest|zero, --sag, --pairs and --undo"
-        raise click.UsageError(f"give one of {kinds}")
+    if sum(map(bool, (*sources, *(() if holding else way)))) != 1 or (holding and not sources[0]):
+        raise click.UsageError(said("several"))
     if way in (("sag",), ("undo",)) and any(new):
         raise click.UsageError(f"--{way[0]} writes no file of another name; leave out --out and --save-readings")
 
 
-def _draw_sheet(output: Output, file: Path, points: Path | None, *others: Any) -> None:
+def _draw_sheet(output: Output, file: Path, points: Path | None, touches: int, *others: Any) -> None:
     """Draw points to be printed; without any, some that are in reach, whose file then lies beside the drawing."""
     from armctl.commissioning import arm_file, calibration, holding
     from armctl.report import sheet
@@ -124,26 +130,29 @@ def _draw_sheet(output: Output, file: Path, points: Path | None, *others: Any) -
         raise click.UsageError(f"--sheet draws SVG; give a name that ends in .svg, not {str(file)!r}")
     arm = output.arm
     places = calibration.read_points(points) if points else holding.sheet_points(arm, ABOVE_M)
-    calibration.check_points(arm, places * 20)  # as often as each may be touched
+    calibration.check_points(arm, places * touches)
+    doubts = _not_led_onto(places, holding.ways_above(arm, places, ABOVE_M))
+    doubts += [said("few", points=len(places), wanted=FEW)] * (len(places) < FEW)
+    for doubt in doubts:
+        output.warn(f"warning: {doubt}")
     if points is None:
         arm_file.refuse_taken(points := file.with_suffix(".csv"))
         arm_file.write(points, "".join("{:.4f},{:.4f},{:.4f}\n".format(*place) for place in places))
     paper = sheet.write(places, arm.arm_id, arm.floor_m, file)
-    result = {"sheet": str(file), "paper": paper, "points": str(points)}
-    output.answer(result, f"{file}: {len(places)} points on {paper}; print it at 100 %\npoints: {points}")
+    output.answer({"sheet": str(file), "paper": paper, "points": str(points)}, count=len(places))
 
 
 def _undo(output: Output) -> None:
-    """Have the arm's file hold what it held before it was renewed last."""
+    """Have the arm's file hold what it held before it was renewed last; done twice, it is as it was."""
     from armctl.commissioning import arm_file
     from armctl.config import ArmConfig, parse_yaml, validate
 
     name = output.arm_name or output.config.arm
     path, old = arm_file.active_path(name), output.arm
-    text = arm_file.before(path)
+    text = read_text(source := arm_file.before(path), "calibration")
     new = validate(ArmConfig, parse_yaml(text, str(path)), str(path))
     kept = arm_file.renew(path, text)
-    result = {"path": str(path), "changes": _changes(old, new)}
+    result = {"path": str(path), "changes": _changes(old, new), "in_force": str(source)}
     output.answer(result, lambda: _show_changes(output, result, kept, name))
 
 
@@ -151,6 +160,8 @@ def _show_changes(output: Output, result: dict[str, Any], kept: Path | None, nam
     show_rows(output.console, "changes", "Changed", result["changes"])
     was = f" (before: {kept})" if kept else ""
     output.say(f"written: {result['path']}{was}\nuse it: armctl daemon --arm {name}")
+    if "in_force" in result:
+        output.say(f"in force: what {result['in_force']} holds; --undo again brings back what was taken now")
 
 
 def _zeroed(output: Output, arm: ArmConfig, pose: str) -> ArmConfig:
@@ -163,67 +174,93 @@ def _zeroed(output: Output, arm: ArmConfig, pose: str) -> ArmConfig:
     return calibration.zeroed(arm, ticks, [joint.rest_rad if pose == "rest" else 0.0 for joint in arm.joints])
 
 
-def _touch_all(output: Output, arm: ArmConfig, points: Path, touches: int, kept: Path, holding: bool) -> Readings:
-    """Lead the person through the points and keep each touch; a reading that fails is taken again."""
+def _not_led_onto(places: list[Point], ways: list[Way]) -> list[str]:
+    """Each point to which none of the ways leads."""
+    led = {way.number for way in ways}
+    lost = [(number, place) for number, place in enumerate(places, 1) if number not in led]
+    return [said("not led", number=n, place=millimetres(place), up_mm=1000.0 * ABOVE_M) for n, place in lost]
+
+
+def _touch_all(
+    output: Output, arm: ArmConfig, points: Path, touches: int, earlier: tuple[Touch, ...], kept: Path, holding: bool
+) -> tuple[Touch, ...]:
+    """Lead the person through the points and keep each touch; a reading that fails is taken again.
+
+    Args:
+        earlier: What was touched before.
+        kept: The file that all touches are kept in.
+    """
     from armctl.commissioning import arm_file, calibration
-    from armctl.commissioning.holding import Way, left, most_telling, ways_above
+    from armctl.commissioning.holding import Way, begun, left, most_telling, touch_by, ways_above
 
     places = calibration.read_points(points)
     calibration.check_points(arm, places * touches)
-    ways = [Way(number, place, k) for number, place in enumerate(places, 1) for k in range(touches)]
-    if holding:
-        ways = ways_above(arm, places, ABOVE_M)
-        for number in sorted({*range(1, len(places) + 1)} - {way.number for way in ways}):
-            output.say(f"point {number} is left out: the arm cannot stand {1000.0 * ABOVE_M:.0f} mm above it")
-    made, taken, skipped = list[Way](), list[calibration.Touch](), set[int]()
+    limp = [Way(number, place, k) for number, place in enumerate(places, 1) for k in range(touches)]
+    ways = ways_above(arm, places, ABOVE_M) if holding else limp
+    for doubt in _not_led_onto(places, ways):
+        output.say(f"left out: {doubt}")
+    made, skipped, above = begun(arm, earlier, ways, places), set[int](), None
+
+    def keep() -> None:
+        arm_file.write(kept, calibration.readings_text(arm.arm_id, made.values()))
+        again = f" --readings {shlex.quote(str(kept))}"
+        output.kept = said("kept", file=kept, number=len(made), command=output.typed.removesuffix(again) + again)
+
     with ExitStack() as held:
         client = held.enter_context(output.client()) if holding else None
         bus = None if holding else held.enter_context(opened(output, [joint.servo_id for joint in arm.joints]))
         person = AtTerminal(output, *ASKED)
+        if holding:
+            held.enter_context(keys(sys.stdin)).wait(0.0)  # no key is shown from here on
         output.say(f"readings are kept in {kept}, after every touch")
         while due := left(ways, made, skipped, touches):
-            way = most_telling(arm, taken, due) if holding else due[0]
-            where = f"point {way.number} of {len(places)} ({millimetres(way.point_m)})"
-            where += f", posture {[one.number for one in made].count(way.number) + 1} of {touches}"
+            due = most_telling(arm, [*made.values()], due) if holding else due
+            here = [way for way in due if way.number == due[0].number]
+            where = f"point {here[0].number} of {len(places)} ({millimetres(here[0].point_m)})"
+            where += f", posture {[one.number for one in made].count(here[0].number) + 1} of {touches}"
             try:
-                if client is not None:
-                    output.say(f"{where}: lead the tip near it, press it onto it with a finger, and press q")
-                    key = _led(output, client, way)
-                else:
+                if client is None:
                     key = person.ask("", f"{where}: hold the tip on it ({KEYS})")
+                else:
+                    if above not in here:
+                        output.say(f"{where}: moving above it")
+                        above = _moved_above(output, client, here)
+                    output.say("lead the tip near it, press it onto it with a finger, and press q")
+                    key = by_keys(output, client.call, LED_M_S, f"q: take it; {KEYS}", "qsb")
                 if key == "s":
-                    skipped.add(way.number)
-                    continue
-                if key != "b":
+                    skipped.add(here[0].number)
+                elif key == "b" and made:
+                    skipped.discard(made.popitem()[0].number)
+                elif key != "b":
                     ticks = calibration.read_ticks(bus, arm.joints, bus.port.clock) if bus else _standing(output, arm)
-                    taken.append(calibration.Touch(point_m=way.point_m, ticks=ticks))
-                    made.append(way)
-                elif made:
-                    taken.pop()
-                    skipped.discard(made.pop().number)
+                    made[above or here[0]] = touch_by(arm, above or here[0], ticks)
+                keep()
             except RequestRefused as refusal:
                 output.say(f"not taken: {refusal}")
-                continue
-            session = calibration.Readings(arm_id=arm.arm_id, touches=tuple(taken))
-            arm_file.write(kept, calibration.readings_text(session))
-            command = "armctl calibrate" + " --holding" * holding
-            output.after_interrupt = f"{len(made)} touches are in {kept}; `{command} --readings` takes them"
-    return calibration.Readings(arm_id=arm.arm_id, touches=tuple(taken))
+                above = None if refusal.code == "LIMP" else above  # a limp arm drops
+    return tuple(made.values())
 
 
-def _led(output: Output, client: Client, way: Way) -> str:
-    """Have the daemon bring the tip above a point, in any posture if not in the wanted one; the key that ends it."""
-    x, y, z = way.point_m
+def _moved_above(output: Output, client: Client, ways: list[Way]) -> Way:
+    """Have the daemon bring the tip above a point, by the first of these ways that it goes, if by none in any posture.
+
+    Returns:
+        The way that it went; the first one where none was gone.
+    """
+    x, y, z = ways[0].point_m
     # A gripper, and what else moves no tip, stays: it may hold a pointer.
-    others = client.call("status")["joints"][len(way.q_rad) :]
+    others = client.call("status")["joints"][len(ways[0].q_rad) :]
     stay = [one["position_rad"] if one["wanted_rad"] is None else one["wanted_rad"] for one in others]
-    for target in ({"joints_rad": (*way.q_rad, *stay)}, {"point_m": (x, y, z + ABOVE_M)}):
+    targets = [(way, {"joints_rad": (*way.q_rad, *stay)}) for way in ways]
+    for way, target in [*targets, (ways[0], {"point_m": (x, y, z + ABOVE_M)})]:
         try:
             client.call("move", on_progress=None, **target)
-            break
+            return way
         except RequestRefused as refusal:
-            output.say(f"not led above it: {refusal}")
-    return by_keys(output, client.call, LED_M_S, f"q: take it; {KEYS}", "qsb")
+            output.say(f"not moved above it: {refusal}")
+            if refusal.code not in ("PREFLIGHT", "LIMIT", "UNREACHABLE"):  # no other posture helps
+                break
+    return ways[0]
 
 
 def _standing(output: Output, arm: ArmConfig) -> tuple[float, ...]:
@@ -256,24 +293,23 @@ def _calibrate_sag(output: Output) -> None:
 
 def _changes(old_arm: ArmConfig, new_arm: ArmConfig) -> list[dict[str, Any]]:
     """Every value that differs between two calibrations of one arm."""
+    old, new = _values(old_arm), _values(new_arm)
+    both = ((key, old.get(key), new.get(key)) for key in old | new)
+    return [{"key": key, "before": was, "after": now} for key, was, now in both if was != now]
+
+
+def _values(arm: ArmConfig) -> dict[str, Any]:
+    """What a calibration may change of an arm, by the names that people read."""
     from armctl.kinematics import robots
 
-    old, new = (robots.get(arm.robot, arm.lengths_m).lengths_m for arm in (old_arm, new_arm))
-    rows: list[tuple[str, Any, Any]] = [(f"lengths_m.{key}", old[key], new[key]) for key in old if key in new]
-    for joint, *both in zip(old_arm.joint_names, old_arm.joints, new_arm.joints, strict=True):
-        was, now = (one.model_dump(mode="json") for one in both)
-        keys = ("zero_tick", "limits_deg", "rest_deg", "pair")
-        rows += [(f"{joint}.{key}", was.get(key), now.get(key)) for key in keys]
-    rows.append(("ramp_from_reference", old_arm.ramp_from_reference, new_arm.ramp_from_reference))
-
-    def told(arm: ArmConfig) -> dict[str, Any]:
-        table = () if isinstance(arm.robot, str) else enumerate(arm.robot.dh, 1)
-        dumped = ((i, row.model_dump(mode="json", exclude_defaults=True)) for i, row in table)
-        return {f"robot.dh.{i}.{key}": value for i, row in dumped for key, value in row.items()}
-
-    before, after = told(old_arm), told(new_arm)
-    rows += [(key, before.get(key), after.get(key)) for key in before | after]
-    return [{"key": key, "before": was, "after": now} for key, was, now in rows if was != now]
+    found = dict[str, Any]((f"lengths_m.{key}", m) for key, m in robots.get(arm.robot, arm.lengths_m).lengths_m.items())
+    for joint in arm.joints:
+        told = joint.model_dump(mode="json")
+        found |= {f"{joint.name}.{key}": told.get(key) for key in ("zero_tick", "limits_deg", "rest_deg", "pair")}
+    for number, row in enumerate(() if isinstance(arm.robot, str) else arm.robot.dh, 1):
+        told = row.model_dump(mode="json", exclude_defaults=True)
+        found |= {f"robot.dh.{number}.{key}": value for key, value in told.items()}
+    return found | {"ramp_from_reference": arm.ramp_from_reference}
 
 
 def show_found(output: Output, table: str, found: dict[str, Any]) -> None:

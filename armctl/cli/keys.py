@@ -38,7 +38,7 @@ class TerminalKeys:
     def __init__(self, fd: int | None) -> None:
         self._fd, self._pressed = fd, b""
         # The terminal's mode before this process set it; None: it has not.
-        self._before: list[Any] | None = None
+        self.before: list[Any] | None = None
 
     def wait(self, timeout_s: float) -> str:
         """The next key, arrows by their names; nothing once the time is over, and nothing in the background."""
@@ -47,7 +47,7 @@ class TerminalKeys:
             return ""
         mode = termios.tcgetattr(self._fd)
         if mode[3] & termios.ICANON:  # at first, and once a shell that suspended this process has put its own mode back
-            self._before = mode
+            self.before = mode
             tty.setcbreak(self._fd, termios.TCSANOW)  # keys come without Enter; it keeps what was pressed meanwhile
         if not self._pressed and select.select([self._fd], [], [], timeout_s)[0]:
             if not _in_foreground(self._fd):  # it was sent to the background while it waited
@@ -56,11 +56,6 @@ class TerminalKeys:
         known = next((sequence for sequence in _ESCAPES if self._pressed.startswith(sequence)), b"")
         key, self._pressed = self._pressed[: len(known) or 1], self._pressed[len(known) or 1 :]
         return _ESCAPES.get(key) or key.decode("ascii", "replace")
-
-    def put_back(self) -> None:
-        """Restore the terminal's mode; in the background it is the shell's."""
-        if self._before is not None and self._fd is not None and _in_foreground(self._fd):
-            termios.tcsetattr(self._fd, termios.TCSADRAIN, self._before)
 
 
 @contextmanager
@@ -72,4 +67,6 @@ def keys(stream: TextIO | None) -> Iterator[TerminalKeys]:
     try:
         yield pressed
     finally:
-        pressed.put_back()
+        # In the background the mode is the shell's.
+        if pressed.before is not None and stream is not None and attended(stream):
+            termios.tcsetattr(stream, termios.TCSADRAIN, pressed.before)

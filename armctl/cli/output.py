@@ -43,6 +43,10 @@ class Output:
         self.json = False
         # What a Ctrl-C leaves behind, said when it comes.
         self.after_interrupt = ""
+        # What was done and is kept, and how to go on: said when the command ends before its time, whatever ends it.
+        self.kept = ""
+        # The command as it was typed.
+        self.typed = "armctl"
         # Where answers for people go, and everything else.
         self.console, self.messages = Screen(), Screen(error=True)
         # The daemon that was named; None: the usual one.
@@ -184,15 +188,15 @@ class Output:
             text = "stopped, as somebody asked: the arm holds where it came to"
         elif isinstance(error, RequestRefused) and len(error.reasons) > 1:
             text = f"armctl: {code}:\n" + "\n".join(f"  - {reason}" for reason in error.reasons)
-        following = next_command(error, self.socket)
-        if "`armctl " not in text and following not in text:
+        following = self.kept or next_command(error, self.socket)
+        if self.kept or ("`armctl " not in text and following not in text):
             text += f"\n  next: {following}"
         self.warn(text)
         self.refused(code, str(error), list(getattr(error, "reasons", [str(error)])), following)
 
     def interrupted(self) -> None:
         """Tell that Ctrl-C ended the command, and what is now."""
-        text = "interrupted" + (f": {self.after_interrupt}" if self.after_interrupt else "")
+        text = ": ".join(filter(None, ("interrupted", self.after_interrupt or self.kept)))
         self.warn(text)
         self.refused("INTERRUPTED", text, [text], "armctl status")
 

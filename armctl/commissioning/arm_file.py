@@ -7,8 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from armctl.commissioning.calibration import calibration_text
+from armctl.commissioning.texts import refusal, said
 from armctl.config import ArmConfig
-from armctl.errors import ConfigError, LogError, RequestRefused
+from armctl.errors import ConfigError, LogError
 from armctl.files import calibration_dirs, find_arm_file, load_arm, read_text, shipped_dirs
 from armctl.kinematics import robots
 from armctl.recording.disk import put
@@ -49,13 +50,11 @@ def _of_rest_pose(arm: ArmConfig, points: np.ndarray) -> Iterator[tuple[str, str
         return
     below_m = float(floor_clearance(points, arm.floor_m, arm.link_radius_m).min())
     if below_m < 0.0:
-        text = f"the arm at rest is {-1e3 * below_m:.0f} mm in the floor"
-        yield "joints.rest_deg", f"{text}; lower floor_m, or fold the arm"
+        yield "joints.rest_deg", said("rest in floor", mm=-1e3 * below_m)
     pairs = judged_pairs(points, arm.link_radius_m)
     for (i, j), gap_m in zip(pairs.tolist(), link_clearance(points, pairs, arm.link_radius_m).tolist(), strict=True):
         if gap_m < 0.0:
-            text = f"links {i + 1} and {j + 1} are {-1e3 * gap_m:.0f} mm inside each other at rest"
-            yield "joints.rest_deg", f"{text}; choose another pose, or a smaller link_radius_m"
+            yield "joints.rest_deg", said("rest in itself", first=i + 1, second=j + 1, mm=-1e3 * gap_m)
 
 
 def drawn(points: np.ndarray, floor_m: float) -> str:
@@ -120,8 +119,8 @@ def renew(path: Path, text: str) -> Path | None:
     return kept
 
 
-def before(path: Path) -> str:
-    """What an arm's file held before it was renewed last; if never, what comes with armctl under that name.
+def before(path: Path) -> Path:
+    """Where what an arm's file held before it was renewed last is; if never, what comes with armctl under that name.
 
     Raises:
         ConfigError: there is neither.
@@ -130,7 +129,7 @@ def before(path: Path) -> str:
     shipped = [file for folder in shipped_dirs() if path.exists() and (file := folder / path.name).exists()]
     if not kept and not shipped:
         raise ConfigError(str(path), "", "has no history: it was never renewed", "there is nothing to take back")
-    return read_text(kept[-1][1] if kept else shipped[0], "calibration")
+    return kept[-1][1] if kept else shipped[0]
 
 
 def _kept(path: Path) -> list[Path]:
@@ -140,7 +139,7 @@ def _kept(path: Path) -> list[Path]:
 def refuse_taken(*new: Path | None) -> None:
     """Refuse to write a file where there is one (FILE_EXISTS)."""
     if taken := [path for path in new if path is not None and path.exists()]:
-        raise RequestRefused("FILE_EXISTS", f"{taken[0]}: exists and is not overwritten; choose another name")
+        raise refusal("FILE_EXISTS", file=taken[0])
 
 
 def write(path: Path, text: str) -> None:
@@ -168,15 +167,10 @@ def _told(path: Path, source: str) -> dict[str, Any]:
     where = {"name": path.stem, "source": source, "path": str(path)}
     try:
         arm = load_arm(str(path))
-        joints = robots.of(arm).chain.n
+        counts = {"joints": robots.of(arm).chain.n, "servos": len(arm.servos)}
     except ConfigError as error:
         title = f"cannot be read: {error.key}: {error.problem}".split("\n")[0]
         return {**where, "title": title, "joints": 0, "servos": 0, "gripper": None}
     remark = " ".join(line[1:].strip() for line in read_text(path, "calibration").split("\n") if line.startswith("#"))
-    return {
-        **where,
-        "title": remark.partition(". ")[0].partition(": ")[0].rstrip(".") or arm.arm_id,
-        "joints": joints,
-        "servos": len(arm.servos),
-        "gripper": arm.gripper.joint if arm.gripper else None,
-    }
+    title = remark.partition(". ")[0].partition(": ")[0].rstrip(".") or arm.arm_id
+    return {**where, "title": title, **counts, "gripper": arm.gripper and arm.gripper.joint}

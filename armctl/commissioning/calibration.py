@@ -24,7 +24,7 @@ What can be told apart, and what cannot:
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -33,12 +33,13 @@ import yaml
 from pydantic import Field
 
 from armctl.clock import Clock
+from armctl.commissioning.texts import refusal
 from armctl.config import ArmConfig, Frozen, parse_yaml, validate
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.bus import ServoBus
 from armctl.dynamixel.fitness import ServoJoint
 from armctl.dynamixel.identify import IDENTIFY_LATENCY_MS
-from armctl.errors import ConfigError, PortGone, RequestRefused
+from armctl.errors import ConfigError, PortGone
 from armctl.files import read_text
 from armctl.kinematics import robots
 from armctl.kinematics.chain import tool_position
@@ -62,6 +63,8 @@ HELD_ERROR_MM = 2.0
 CONFUSED = 0.3
 # Parameters -> how far the tool is off the points, coordinate by coordinate.
 Residuals = Callable[[FloatArray], FloatArray]
+# What the first line of a file of points may say.
+HEADERS = ("x,y,z", "x_m,y_m,z_m")
 BEYOND_CHAIN = "does not move the tool"
 ITERATIONS = 50
 # Gauss-Newton ends when no scaled parameter moves by more.
@@ -107,28 +110,29 @@ class Fit(NamedTuple):
 
 
 def read_points(path: Path) -> list[tuple[float, float, float]]:
-    """Points [m] from lines `x,y,z`; what follows a # is a remark.
+    """Points [m] from lines `x,y,z`, the first of which may be a header; what follows a # is a remark.
 
     Raises:
         ConfigError: naming the line.
     """
+    bare = (line.partition("#")[0].strip() for line in read_text(path, "points").splitlines())
+    lines = [(f"line {number}", text) for number, text in enumerate(bare, start=1) if text]
     points = []
-    for number, line in enumerate(read_text(path, "points").splitlines(), start=1):
-        if text := line.partition("#")[0].strip():
-            try:
-                x, y, z = map(float, text.split(","))
-            except ValueError:
-                raise ConfigError(str(path), f"line {number}", f"{text!r} is not x,y,z in metres") from None
-            if not all(math.isfinite(value) and abs(value) <= 10.0 for value in (x, y, z)):
-                raise ConfigError(str(path), f"line {number}", f"{text!r}: finite and within 10 m (the unit is metres)")
-            points.append((x, y, z))
+    for where, text in lines[bool(lines and lines[0][1].replace(" ", "") in HEADERS) :]:
+        try:
+            x, y, z = map(float, text.split(","))
+        except ValueError:
+            raise ConfigError(str(path), where, f"{text!r} is not x,y,z in metres") from None
+        if not all(math.isfinite(value) and abs(value) <= 10.0 for value in (x, y, z)):
+            raise ConfigError(str(path), where, f"{text!r}: finite and within 10 m (the unit is metres)")
+        points.append((x, y, z))
     if not points:
         raise ConfigError(str(path), "", "holds no point", "one line x,y,z in metres for each")
     return points
 
 
-def load_readings(path: Path, arm: ArmConfig) -> Readings:
-    """Readings as `readings_text` wrote them.
+def load_readings(path: Path, arm: ArmConfig) -> tuple[Touch, ...]:
+    """Touches as `readings_text` wrote them.
 
     Raises:
         ConfigError: what is wrong in the file, or that it belongs to another arm.
@@ -140,11 +144,12 @@ def load_readings(path: Path, arm: ArmConfig) -> Readings:
         if len(touch.ticks) != len(arm.joints):
             found = f"{len(touch.ticks)} values for {len(arm.joints)} servos"
             raise ConfigError(str(path), f"touches.{i}.ticks", found)
-    return readings
+    return readings.touches
 
 
-def readings_text(readings: Readings) -> str:
-    """YAML of readings."""
+def readings_text(arm_id: str, touches: Iterable[Touch]) -> str:
+    """YAML of touches of an arm."""
+    readings = Readings(arm_id=arm_id, touches=tuple(touches))
     return yaml.safe_dump(readings.model_dump(mode="json"), sort_keys=False, default_flow_style=None)
 
 
@@ -170,7 +175,7 @@ def mean_ticks(joints: Sequence[ServoJoint], ticks: FloatArray) -> tuple[float, 
     spread = np.ptp(ticks, axis=0)
     if spread.max() > MAX_SPREAD_TICK:
         moved = joints[int(spread.argmax())].name
-        raise RequestRefused("MOVED", f"{moved} moved by {spread.max():.0f} ticks; hold the tool still on the point")
+        raise refusal("MOVED", joint=moved, ticks=spread.max())
     return tuple(ticks.mean(axis=0).round(3).tolist())
 
 
@@ -184,12 +189,10 @@ def limp_ticks(bus: ServoBus, joints: Sequence[ServoJoint]) -> tuple[int, ...]:
     if not sample.port_open:
         raise PortGone(f"{bus.port.port_name}: the port vanished; plug the adapter in again")
     for joint, reading in zip(joints, sample.servos, strict=True):
-        servo = f"servo {joint.servo_id} ({joint.name})"
         if not reading.fresh:
-            raise RequestRefused("SERVO_SILENT", f"{servo}: {reading.problem}; `armctl doctor` tells more")
+            raise refusal("SERVO_SILENT limp", servo_id=joint.servo_id, name=joint.name, problem=reading.problem)
         if ax12a.register_value(ax12a.TORQUE_ENABLE, reading.registers):
-            text = "torque is on; support the arm and let it go limp: `armctl release`"
-            raise RequestRefused("TORQUE_ON", f"{servo}: {text}")
+            raise refusal("TORQUE_ON limp", servo_id=joint.servo_id, name=joint.name)
         ticks.append(ax12a.register_value(ax12a.PRESENT_POSITION, reading.registers))
     return tuple(ticks)
 
@@ -206,9 +209,9 @@ def touches_needed(arm: ArmConfig) -> int:
 def check_points(arm: ArmConfig, points_m: Sequence[tuple[float, float, float]]) -> None:
     """Refuse touches of these points, one for each, if they are too few to tell anything (TOO_FEW_POINTS)."""
     if len(points_m) < touches_needed(arm):
-        raise RequestRefused("TOO_FEW_POINTS", f"{len(points_m)} touches, at least {touches_needed(arm)} are needed")
+        raise refusal("TOO_FEW_POINTS touches", touches=len(points_m), least=touches_needed(arm))
     if (places := len(set(points_m))) < FEWEST_POINTS:
-        raise RequestRefused("TOO_FEW_POINTS", f"{places} different points, at least {FEWEST_POINTS} are needed")
+        raise refusal("TOO_FEW_POINTS places", places=places, least=FEWEST_POINTS)
 
 
 def fit(arm: ArmConfig, touches: Sequence[Touch]) -> Fit:
@@ -240,9 +243,7 @@ def fit(arm: ArmConfig, touches: Sequence[Touch]) -> Fit:
     residual = missed(x)
     rms_mm = _rms(residual)
     if not rms_mm <= MAX_RMS_MM:
-        text = f"the best arm is {rms_mm:.1f} mm off its points, at most {MAX_RMS_MM:.0f} mm make sense"
-        remedy = "check the order and the unit of the points, the frame, and the joints' directions"
-        raise RequestRefused("POOR_FIT", f"{text}; {remedy}")
+        raise refusal("POOR_FIT limp", rms_mm=rms_mm, most_mm=MAX_RMS_MM)
     free = [i for i in range(x.size) if i not in held]
     errors = np.full(x.size, np.nan)
     variance = float(residual @ residual) / (residual.size - len(free))
@@ -342,8 +343,7 @@ def recalibrated(arm: ArmConfig, zero_ticks: Sequence[float], lengths_m: dict[st
         low, high = sorted(math.degrees(moved.position_rad(tick)) for tick in joint.limits_tick)
         low, high = math.floor(low * 100.0) / 100.0, math.ceil(high * 100.0) / 100.0
         rest = round(math.degrees(moved.position_rad(joint.tick(joint.rest_rad))), 2)
-        if joint.pair is not None and joint.pair.zero_tick is not None:  # what it reads beside the first one stays
-            assert joint.linkage is not None
+        if joint.linkage and joint.pair and joint.pair.zero_tick is not None:  # what it reads beside the first stays
             item["pair"]["zero_tick"] = round(joint.linkage.second(zero_tick), 2)
         item |= {"zero_tick": zero_tick, "limits_deg": [low, high], "rest_deg": min(max(rest, low), high)}
     return validate(ArmConfig, data, "the new calibration")

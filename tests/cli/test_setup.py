@@ -2,11 +2,16 @@
 
 import io
 import json
+import os
+import pty
 import re
+import shlex
 import shutil
 import sys
+import termios
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import nullcontext
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -17,14 +22,17 @@ import pytest
 
 from armctl import client
 from armctl.cli import calibrate, main, setup
+from armctl.cli.keys import keys
+from armctl.cli.output import Output
 from armctl.commissioning import calibration
-from armctl.commissioning.calibration import Readings, Touch, calibration_text, load_readings, readings_text
+from armctl.commissioning.calibration import Touch, calibration_text, load_readings, readings_text
 from armctl.config import ArmConfig
 from armctl.dynamixel import ax12a
-from armctl.errors import PortGone, RequestRefused
+from armctl.errors import NoDaemon, PortGone, RequestRefused
 from armctl.files import find_arm_file, load_arm
 from armctl.kinematics import robots
 from armctl.kinematics.chain import tool_position
+from armctl.kinematics.transform import FloatArray
 from armctl.lab.demo import started
 from tests.cli.conftest import Answer, StandIn, Typed, refusals
 from tests.commissioning.bench import EXACT, Bench, PosingHand, planted, postures, touch_points
@@ -180,7 +188,7 @@ def zeros(arm: ArmConfig) -> list[float]:
 def calibrated(arm_file: Path, touches: Sequence[Touch]) -> tuple[object, ...]:
     """The command that calibrates an arm from these touches."""
     readings = arm_file.with_name("r.yaml")
-    readings.write_text(readings_text(Readings(arm_id=load_arm(str(arm_file)).arm_id, touches=tuple(touches))))
+    readings.write_text(readings_text(load_arm(str(arm_file)).arm_id, touches))
     return "calibrate", "--readings", readings, "--arm"
 
 
@@ -230,69 +238,222 @@ def test_calibrate_holding_tells_every_parameter_and_makes_the_arm_a_table(
     )
 
 
-def test_calibrate_holding_moves_above_each_point_and_is_led_onto_it(
-    arm_file: Path, typed: Typed, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked: list[tuple[str, object]] = []
+class Standing(StandIn):
+    """A daemon's arm that goes where it is moved, unless that is refused, and where a hand presses its tip."""
+
+    arm: ArmConfig
+    q_rad: list[float]
+    # What it was asked to do; the codes of the refusals of its next moves, empty: it goes; what is told of its torque.
+    moves: list[dict[str, Any]]
+    refusals: list[str]
+    limp: bool
+    told_hash: str
+
+    def call(self, method: str, **params: Any) -> dict[str, Any]:
+        if method == "status":
+            joints = [{"wanted_rad": None if k == 5 else q, "position_rad": q} for k, q in enumerate(self.q_rad)]
+            return {"arm_id": self.arm.arm_id, "calibration_hash": self.told_hash, "joints": joints}
+        assert method == "move"
+        Standing.moves.append(params)
+        if Standing.refusals and (code := Standing.refusals.pop(0)):
+            raise RequestRefused(code, f"not there ({code})")
+        Standing.q_rad = [*params["joints_rad"]] if "joints_rad" in params else self.q_rad
+        return {}
+
+    def subscribe(self) -> Iterator[dict[str, Any]]:
+        while True:
+            yield {"joints": [{"torque_enabled": not self.limp, "position_rad": q} for q in self.q_rad]}
+
+    @classmethod
+    def lead(cls, to_m: FloatArray) -> None:
+        """Press the tip onto a point."""
+        chain, steps = robots.of(cls.arm).chain, 1e-6 * np.eye(5)
+        for _ in range(20):
+            q = np.array(cls.q_rad[:5])
+            J = np.array([tool_position(chain, q + step) - tool_position(chain, q - step) for step in steps]).T / 2e-6
+            q = q + J.T @ np.linalg.solve(J @ J.T + 1e-5 * np.eye(3), to_m - tool_position(chain, q))
+            cls.q_rad = [*q.tolist(), *cls.q_rad[5:]]
+
+
+@pytest.fixture
+def standing(arm_file: Path, monkeypatch: pytest.MonkeyPatch) -> type[Standing]:
+    """The daemon that commands find; a person sits at the terminal, whose keys `by_keys` of a test presses."""
     arm = load_arm(str(arm_file))
-    told_hash = "of another calibration"
+    start: dict[str, Any] = {"moves": [], "refusals": [], "limp": False, "told_hash": arm.calibration_hash, "arm": arm}
+    for name, value in (start | {"q_rad": [0.0] * 5 + [0.25]}).items():
+        monkeypatch.setattr(Standing, name, value, raising=False)
+    monkeypatch.setattr(client, "Client", Standing)
+    monkeypatch.setattr(calibrate, "keys", lambda _: nullcontext(Mock()))
+    monkeypatch.setattr(sys, "stdin", person(lambda: "\n"))
+    return Standing
 
-    class Standing(StandIn):
-        def call(self, method: str, **params: object) -> dict[str, object]:
-            if method == "status":
-                joints = [{"wanted_rad": None if k == 5 else 0.0, "position_rad": 0.25} for k in range(6)]
-                return {"arm_id": arm.arm_id, "calibration_hash": told_hash, "joints": joints}
-            asked.append((method, params))
-            if method == "move" and len(asked) == 1:
-                raise RequestRefused("PREFLIGHT", "not there")
-            return {}
 
-        def subscribe(self) -> Iterator[dict[str, object]]:
-            while True:
-                yield {"joints": [{"torque_enabled": len(led) != 2, "position_rad": 0.1} for _ in arm.joints]}
+SHEET = "0.235,0,0\n0.2,0,0\n0.9,0,0\n0.2,0.1,0\n0.2,-0.1,0.05\n"
 
-    led, keys = list[str](), iter("qq" + "s" + "bq" + "q" * 9)
+
+def asked_for(said: str) -> list[str]:
+    """Numbers of points, as the arm was moved above them."""
+    return re.findall(r"point (\d) of 5 .*, posture \d of \d: moving above it", said.replace("\n", " ").replace(
+        "point", "\npoint"))  # fmt: skip
+
+
+def test_calibrate_holding_moves_above_each_point_and_is_led_onto_it(
+    arm_file: Path, typed: Typed, monkeypatch: pytest.MonkeyPatch, standing: type[Standing]
+) -> None:
+    led, pressed = list[str](), iter("qq" + "s" + "b" + "Qq" + "q" * 9)
 
     def by_keys(_output: object, _call: object, _speed: float, said: str, ends: str) -> str:
         assert not missing(said, "q: take it", "s: skip this point", "b: take the last touch back")
-        led.append(key := next(keys))
-        assert key in ends
-        return key
+        led.append(key := next(pressed))
+        standing.limp = len(led) == 2
+        if key == "q":
+            tip = tool_position(robots.of(standing.arm).chain, np.array(standing.q_rad[:5]))
+            standing.lead(tip - (0.0, 0.0, 0.03))
+        assert key.lower() in ends
+        return key.lower()
 
-    monkeypatch.setattr(client, "Client", Standing)
     monkeypatch.setattr(calibrate, "by_keys", by_keys)
-    monkeypatch.setattr(sys, "stdin", person(lambda: "\n"))
-    (points := arm_file.with_name("points.csv")).write_text("0.235,0,0\n0.2,0,0\n0.9,0,0\n0.2,0.1,0\n0.2,-0.1,0.05\n")
+    standing.refusals = ["PREFLIGHT"]
+    (points := arm_file.with_name("points.csv")).write_text(SHEET)
     saved = arm_file.with_name("kept.yaml")
     words = ("calibrate", "--arm", arm_file, "--points", points, "--holding", "--save-readings", saved)
+    standing.told_hash = "of another calibration"
     assert not missing(
         typed(*words, status=2).err, "the daemon drives arm", "of another calibration", "restart the daemon"
     )
-    assert not asked
-    told_hash = arm.calibration_hash
+    assert not standing.moves
+    standing.told_hash = standing.arm.calibration_hash
     said = typed(*words, status=1)
     assert not missing(
-        said.out, "not led above it: not there", "press q", "not taken: torque is off", "point 3 is left out"
-    )
-    moves: list[Any] = [params for method, params in asked if method == "move"]
-    assert list(moves[0]) == ["on_progress", "joints_rad"], "one of several postures, and where that cannot be, any"
-    assert list(moves[1]) == ["on_progress", "point_m"]
-    stands = tool_position(robots.of(arm).chain, np.array(moves[0]["joints_rad"][:5]))
-    np.testing.assert_allclose(stands, moves[1]["point_m"], atol=1e-5)
-    assert {move["joints_rad"][5] for move in moves if "joints_rad" in move} == {0.25}, "what moves no tip stays"
-    # The second touch was not taken, its point was skipped; then the first one was taken back, and made again.
-    assert "".join(led).startswith("qqsbq")
-    order = re.findall(r"point (\d) of 5 .*, posture (\d) of 2: lead", said.out)
+        said.out, "not moved above it: not there", "press q", "not taken: torque is off",
+        "left out: point 3 (900.0, 0.0, 0.0 mm)",
+    )  # fmt: skip
+    assert "not taken: the tip is 30 mm from point" in said.out.replace("\n", " ")
+    above = [move["joints_rad"] for move in standing.moves]
+    stands = tool_position(robots.of(standing.arm).chain, np.array(above)[:2, :5])
+    assert above[0] != above[1], "where one posture cannot be gone to, another one"
+    np.testing.assert_allclose(stands[0], stands[1], atol=1e-5)
+    assert {q[5] for q in above} == {0.25}, "what moves no tip stays"
+    # The second touch was not taken, as the arm was limp; its point was skipped. Then the first one was taken back,
+    # above whose point the tip was again, and made at the second go: before, the tip was where it had been moved to.
+    order = asked_for(said.out)
     assert order[1] == order[2]
-    assert order[4] == order[0] != order[3]
-    assert order[2][0] not in [number for number, _ in order[3:]], "what was skipped comes no more"
-    kept = load_readings(saved, arm)
-    assert [touch.point_m for touch in kept.touches].count((0.9, 0.0, 0.0)) == 0
-    assert len(kept.touches) == 6 == len(led) - 4
-    assert kept.touches[0].ticks == pytest.approx([joint.tick(0.1) for joint in arm.joints], abs=0.001)
-    assert "POOR_FIT" in said.err or "off its points" in said.err
+    assert order[3] == order[0] != order[2]
+    assert order[2] not in order[3:], "what was skipped comes no more"
+    assert "".join(led).startswith("qqsbQq")
+    assert len(order) == len(led) - 2 == len(standing.moves) - 1
+    kept = load_readings(saved, standing.arm)
+    assert (0.9, 0.0, 0.0) not in [touch.point_m for touch in kept]
+    for touch in kept:
+        q = [joint.position_rad(tick) for joint, tick in zip(standing.arm.joints, touch.ticks, strict=True)]
+        tip = tool_position(robots.of(standing.arm).chain, np.array(q[:5]))
+        np.testing.assert_allclose(tip, touch.point_m, atol=1e-4)
+    assert "armctl status" not in said.err
     wrong = typed("calibrate", "--arm", arm_file, "--zero-at", "rest", "--holding", status=2)
-    assert "(either with --holding)" in wrong.err
+    assert "either with --holding" in wrong.err
+
+
+def test_where_no_posture_of_a_point_can_be_gone_to_the_tip_is_moved_there_in_any(
+    arm_file: Path, typed: Typed, monkeypatch: pytest.MonkeyPatch, standing: type[Standing]
+) -> None:
+    def by_keys(*_: object) -> str:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(calibrate, "by_keys", by_keys)
+    (points := arm_file.with_name("points.csv")).write_text(SHEET)
+    command = ("calibrate", "--arm", arm_file, "--points", points, "--holding")
+    standing.refusals = ["PREFLIGHT", "LIMIT", "PREFLIGHT", "PREFLIGHT", "PREFLIGHT"]
+    typed(*command, status=130)
+    *ways, last = standing.moves
+    assert len({tuple(way["joints_rad"]) for way in ways}) == len(ways) >= 2
+    tip = tool_position(robots.of(standing.arm).chain, np.array(ways[0]["joints_rad"][:5]))
+    np.testing.assert_allclose(last["point_m"], tip, atol=1e-5)
+    standing.moves, standing.refusals = [], ["STOPPED"]
+    assert "not moved above it: not there (STOPPED)" in typed(*command, status=130).out
+    assert len(standing.moves) == 1, "somebody stopped it: nothing moves but by keys"
+
+
+def test_keys_that_are_pressed_while_the_arm_moves_are_neither_shown_nor_used(
+    arm_file: Path, typed: Typed, monkeypatch: pytest.MonkeyPatch, standing: type[Standing]
+) -> None:
+    person_fd, terminal_fd = pty.openpty()
+    shown, looks = list[int](), count(1)
+
+    class Pressed(standing):  # type: ignore[misc, valid-type]
+        def call(self, method: str, **params: Any) -> dict[str, Any]:
+            if method == "move":
+                os.write(person_fd, b"ss\n")
+                shown.append(termios.tcgetattr(terminal_fd)[3] & (termios.ECHO | termios.ICANON))
+            found: dict[str, Any] = super().call(method, **params)
+            return found
+
+    def look(*_: object) -> None:
+        if next(looks) == 3:
+            raise KeyboardInterrupt
+        os.write(person_fd, b"q")
+
+    (points := arm_file.with_name("points.csv")).write_text(SHEET)
+    with os.fdopen(terminal_fd) as terminal:
+        before = termios.tcgetattr(terminal)
+        monkeypatch.setattr(sys, "stdin", terminal)
+        monkeypatch.setattr(client, "Client", Pressed)
+        monkeypatch.setattr(calibrate, "keys", keys)
+        monkeypatch.setattr(Output, "live", look)
+        said = typed("calibrate", "--arm", arm_file, "--points", points, "--holding", status=130).out.replace("\n", " ")
+        assert termios.tcgetattr(terminal) == before
+    os.close(person_fd)
+    assert shown == [0]
+    assert said.count("moving above it") == 1
+    assert said.count("not taken: the tip is 30 mm from point") == 2
+
+
+def test_a_session_whose_daemon_dies_goes_on_with_the_command_that_the_error_names(
+    arm_file: Path, typed: Typed, monkeypatch: pytest.MonkeyPatch, standing: type[Standing]
+) -> None:
+    turns = count(1)
+
+    def by_keys(*_: object) -> str:
+        if next(turns) == 3:
+            raise NoDaemon("no daemon answers on x.sock: it closed the connection; start it with `armctl daemon`")
+        tip = tool_position(robots.of(standing.arm).chain, np.array(standing.q_rad[:5]))
+        standing.lead(tip - (0.0, 0.0, 0.03))
+        return "q"
+
+    monkeypatch.setattr(calibrate, "by_keys", by_keys)
+    (points := arm_file.with_name("my points.csv")).write_text(SHEET)
+    died = typed("calibrate", "--arm", arm_file, "--points", points, "--holding", status=3)
+    (kept,) = arm_file.parent.glob("my-arm-*.readings")
+    [again] = re.findall(r"touches in .*: 2; `armctl (.*)` goes on", died.err.replace("\n", " "))
+    words = shlex.split(again)
+    assert words == ["calibrate", "--arm", str(arm_file), "--points", str(points), "--holding", "--readings", str(kept)]
+    before = load_readings(kept, standing.arm)
+    said = typed(*words, status=1)
+    assert f"readings are kept in {kept}" in said.out.replace("\n", "")
+    after = load_readings(kept, standing.arm)
+    assert after[:2] == before
+    assert len(after) == 6 + 1 == 2 + len(asked_for(said.out)), "two of each point but the one with one posture"
+
+
+def test_readings_go_on_only_with_the_sheet_and_the_arm_that_they_are_of(
+    arm_file: Path, typed: Typed, standing: type[Standing]
+) -> None:
+    (points := arm_file.with_name("points.csv")).write_text(SHEET)
+    touch = Touch(point_m=(0.21, 0.0, 0.0), ticks=(512.0,) * 6)
+    for arm_id, status, words in (
+        (
+            standing.arm.arm_id,
+            1,
+            "touch 1 of the readings is at 0.2100, 0.0000, 0.0000 m, where the sheet has no point",
+        ),
+        ("mine", 2, "readings of 'mine'"),
+    ):
+        (begun := arm_file.with_name("begun")).write_text(readings_text(arm_id, [touch]))
+        old = begun.read_text()
+        for holding in ([], ["--holding", "--port", "x"]):
+            command = ("calibrate", "--arm", arm_file, "--points", points, "--readings", begun, *holding)
+            assert words in typed(*command, status=status).err.replace("\n", " ")
+        assert begun.read_text() == old
+    assert not standing.moves
 
 
 def test_a_limp_touch_is_skipped_or_taken_back_by_a_word(
@@ -320,16 +481,23 @@ def test_a_sheet_of_points_is_drawn_for_an_arm_and_has_its_points_beside_it(
     points = calibration.read_points(sheet.with_suffix(".csv"))
     assert len(points) >= 8
     assert {z for *_, z in points} == {0.0, 0.06}
-    assert "not overwritten" in typed("calibrate", "--sheet", sheet, "--arm", arm_file, status=1).err
+    again = typed("calibrate", "--sheet", sheet, "--arm", arm_file, status=1).err
+    assert "not overwritten" in again
+    assert "warning" not in again, "armctl's own points"
+    assert "next: armctl status" not in again
     sheet.with_suffix(".csv").unlink()
-    (own := arm_file.with_name("own.csv")).write_text("0.1,0,0\n0.2,0,0\n0.2,0.1,0.05\n")
-    assert not missing(
-        typed("calibrate", "--sheet", sheet, "--points", own, "--arm", arm_file).out, "3 points on A4", "100 %"
-    )
+    (own := arm_file.with_name("own.csv")).write_text("x,y,z\n0.2,0,0\n0.03,0,0\n0,0,0\n0.2,0.1,0.05\n0.2,0,-0.05\n")
+    drawn = typed("calibrate", "--sheet", sheet, "--points", own, "--arm", arm_file)
+    assert not missing(drawn.out, "5 points on A4", "100 %")
+    said = drawn.err.replace("\n", " ")
+    assert [*map(int, re.findall(r"warning: point (\d) .*?: the arm cannot stand 30 mm above it", said))] == [2, 3, 5]
+    assert not missing(said, "below the table", "warning: 5 points are few; touch 8 or more")
     assert "ends in .svg" in typed("calibrate", "--sheet", arm_file.with_name("x.csv"), status=2).err
     assert "--sheet draws a sheet" in typed("calibrate", "--sheet", sheet, "--sag", status=2).err
     own.write_text("0.1,0,0\n0.2,0,0\n")
-    assert "2 different points" in typed("calibrate", "--sheet", sheet, "--points", own, status=1).err
+    thin = ("calibrate", "--sheet", sheet, "--points", own)
+    assert "too few touches: 4, at least 5" in typed(*thin, status=1).err
+    assert "too few different points: 2" in typed(*thin, "--touches", "3", status=1).err
 
 
 def test_a_calibration_is_taken_back_and_brought_back(arm_file: Path, answer: Answer, typed: Typed) -> None:
@@ -343,7 +511,9 @@ def test_a_calibration_is_taken_back_and_brought_back(arm_file: Path, answer: An
     assert arm_file.read_text() == old != new
     assert told["path"] == str(arm_file)
     assert told["changes"]
-    assert not missing(typed("calibrate", "--arm", arm_file, "--undo").out, "written: ", "my-arm.history/3.yaml")
+    assert told["in_force"] == str(arm_file.with_name("my-arm.history") / "1.yaml")
+    said = typed("calibrate", "--arm", arm_file, "--undo").out.replace("\n", " ")
+    assert not missing(said, "written: ", "my-arm.history/3.yaml", "my-arm.history/2.yaml holds; --undo again brings")
     assert arm_file.read_text() == new
 
 
@@ -429,9 +599,14 @@ def test_no_touch_is_lost_when_a_calibration_breaks_off(
     command = ("calibrate", "--arm", arm_file, "--port", "x", "--points", points)
     said = typed(*command, status={"Ctrl-C": 130, "port": 1, "fit": 1}[end])
     (kept,) = arm_file.parent.glob("my-arm-*.readings")
-    assert len(load_readings(kept, load_arm(str(arm_file))).touches) == (6 if end == "fit" else 5)
+    assert len(load_readings(kept, load_arm(str(arm_file)))) == (6 if end == "fit" else 5)
     assert f"readings are kept in {kept}" in said.out.replace("\n", "")
-    assert (f"5 touches are in {kept}" in said.err.replace("\n", "")) == (end == "Ctrl-C")
+    number, again = (6 if end == "fit" else 5), f"--readings {kept}` goes on"
+    assert not missing(said.err.replace("\n", ""), f"touches in {kept}: {number}; `armctl calibrate", again)
+    turns, reads = count(7), count(7)
+    typed(*command, "--readings", kept, status=1)
+    assert next(turns) == next(reads) == (7 if end == "fit" else 8), "what was touched is not asked for again"
+    assert len(load_readings(kept, load_arm(str(arm_file)))) == 6
 
 
 def test_what_makes_touches_useless_is_told_before_the_first(
@@ -442,7 +617,7 @@ def test_what_makes_touches_useless_is_told_before_the_first(
     (points := arm_file.with_name("points.csv")).write_text("0.1,0,0\n0.2,0,0\n")
     command = ("calibrate", "--arm", arm_file, "--port", "x", "--points", points)
     assert "not overwritten" in typed(*command, "--save-readings", arm_file, status=1).err
-    assert "2 different points" in typed(*command, "--touches", "3", status=1).err
+    assert "too few different points: 2" in typed(*command, "--touches", "3", status=1).err
 
 
 def test_zeros_alone_are_read_in_the_rest_pose(monkeypatch: pytest.MonkeyPatch, arm_file: Path, typed: Typed) -> None:

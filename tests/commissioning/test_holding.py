@@ -1,6 +1,7 @@
 """What touches of an arm that stands by itself tell of it, judged by where its tool truly is."""
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -22,6 +23,8 @@ from armctl.sim.arm import SimulatedArm
 from armctl.sim.geometry import Draws
 from armctl.sim.gravity import PointMasses
 from armctl.sim.spec import GEOMETRIES, ArmSpec, put_together
+from armctl.trajectory.approach import approach_trajectory
+from armctl.trajectory.preflight import DrivenArm, preflight_motion
 from tests.commissioning.bench import postures
 from tests.host.doubles import refused
 
@@ -146,7 +149,7 @@ def information(J: FloatArray, sd: FloatArray) -> FloatArray:
     return np.asarray(np.diag(sd**-2.0) + J.T @ J / holding.TOUCH_M**2)
 
 
-def test_the_next_way_is_the_one_whose_touch_makes_the_determinant_greatest() -> None:
+def test_ways_come_in_the_order_in_which_a_touch_makes_the_determinant_greatest() -> None:
     rng, chain = np.random.default_rng(0), robots.of(ARM).chain
     q = postures(ARM, 24, rng)
     sd, x = holding._sd(chain), np.zeros(9 * chain.n)
@@ -154,21 +157,58 @@ def test_the_next_way_is_the_one_whose_touch_makes_the_determinant_greatest() ->
     touches = touches_of(np.array([ticks_at(ARM, row) for row in q[:4]]), np.zeros((4, 3)))
     ways = [Way(k, (0.0, 0.0, 0.0), 0, tuple(row[: chain.n])) for k, row in enumerate(q.tolist())][4:]
     sizes = [np.linalg.slogdet(information(np.concatenate([*slopes[:4], slopes[way.number]]), sd))[1] for way in ways]
-    assert holding.most_telling(ARM, touches, ways) is ways[int(np.argmax(sizes))]
-    first = holding.most_telling(ARM, [], ways)
+    assert holding.most_telling(ARM, touches, ways) == [ways[i] for i in np.argsort(sizes)[::-1]]
+    first = holding.most_telling(ARM, [], ways)[0]
     alone = [np.linalg.slogdet(information(slopes[way.number], sd))[1] for way in ways]
     assert first is ways[int(np.argmax(alone))]
 
 
+def limp_ways(points: int, times: int) -> list[Way]:
+    """Ways to points wherever a hand holds the limp arm."""
+    return [Way(number, (0.1 * number, 0.0, 0.0), k) for number in range(1, points + 1) for k in range(times)]
+
+
+TICKS = ticks_at(ARM, [0.0] * 6)
+
+
 def test_a_point_is_left_until_it_was_touched_so_often_or_is_skipped() -> None:
-    ways = [Way(number, (0.1, 0.0, 0.0), k) for number in (1, 2, 3) for k in range(3)]
+    ways = limp_ways(3, 3)
     assert holding.left(ways, [], (), 2) == ways
     assert holding.left(ways, ways[:1], {3}, 2) == [*ways[1:3], *ways[3:6]]
     assert holding.left(ways, [ways[0], ways[2]], {3}, 2) == ways[3:6]
 
 
+def test_touches_of_an_earlier_session_count_as_made() -> None:
+    points = [(0.1, 0.0, 0.0), (0.2, 0.0, 0.0), (0.3, 0.0, 0.0)]
+    ways = limp_ways(3, 2)
+    before = [Touch(point_m=points[1], ticks=TICKS)] * 3 + [Touch(point_m=points[0], ticks=TICKS)]
+    made = holding.begun(ARM, before, ways, points)
+    assert [*made.values()] == before, "more than were asked for are kept"
+    assert [(way.number, way.posture) for way in holding.left(ways, made, (), 2)] == [(1, 1), (3, 0), (3, 1)]
+    with refused("POINTS", "touch 2 of the readings is at 0.2000, 0.0000, 0.0000 m, where the sheet has no point"):
+        holding.begun(ARM, [*before[3:], *before], ways, points[:1])
+
+
+def test_a_posture_that_was_touched_before_is_not_asked_for_again() -> None:
+    places = [(0.22, 0.0, 0.0)]
+    ways = holding.ways_above(ARM, places, 0.03)
+    assert len(ways) > 1
+    near = Touch(point_m=places[0], ticks=ticks_at(ARM, [angle + 0.05 for angle in (*ways[1].q_rad, 0.0)]))
+    assert holding.begun(ARM, [near], ways, places) == {ways[1]: near}
+
+
+def test_a_touch_whose_tip_is_far_from_its_point_is_refused_unless_the_arm_is_limp() -> None:
+    [way, *_] = holding.ways_above(ARM, [(0.22, 0.0, 0.0)], 0.041)
+    with refused("FAR", "the tip is 41 mm from point 1 by the arm's file, at most 25 mm; lead it nearer, or press s"):
+        holding.touch_by(ARM, way, ticks_at(ARM, (*way.q_rad, 0.0)))
+    [near, *_] = holding.ways_above(ARM, [(0.22, 0.0, 0.0)], 0.024)
+    for one in (near, way._replace(q_rad=())):
+        taken = holding.touch_by(ARM, one, ticks := ticks_at(ARM, (*near.q_rad, 0.0)))
+        assert taken == Touch(point_m=(0.22, 0.0, 0.0), ticks=ticks)
+
+
 def test_ways_above_a_point_bring_the_tool_there_and_none_leads_out_of_reach_or_through_the_table() -> None:
-    points = [(0.2, 0.05, 0.0), (0.9, 0.0, 0.0), (0.15, -0.1, 0.06)]
+    points = [(0.2, 0.05, 0.0), (0.9, 0.0, 0.0), (0.2, -0.1, 0.06), (0.0, 0.0, 0.0), (0.2, 0.0, -0.05)]
     ways = holding.ways_above(ARM, points, 0.03)
     assert {way.number for way in ways} == {1, 3}
     assert len({(way.number, way.posture) for way in ways}) == len(ways) >= 2
@@ -192,14 +232,25 @@ def test_from_every_way_above_a_point_keys_lead_the_tip_down_to_it() -> None:
         assert np.linalg.norm(tool_position(chain, q) - way.point_m) < 8e-3, way
 
 
+def test_every_way_above_a_point_can_be_gone_from_rest() -> None:
+    on, rest_rad = DrivenArm(ARM, robots.of(ARM), 0.02), [joint.rest_rad for joint in ARM.joints]
+    ways = holding.ways_above(ARM, [*holding.sheet_points(ARM, 0.03), (0.12, 0.0, 0.0), (0.15, 0.0, 0.05)], 0.03)
+    for way in ways:
+        moved = approach_trajectory(rest_rad, (*way.q_rad, rest_rad[5]), on, "move", None)
+        assert not preflight_motion(np.array(moved.positions_rad), on, start_rad=rest_rad), way
+
+
 SHEET, POSTURES = 8, 3
 
 
 def touched(seed: int, geometry: str) -> tuple[float, float]:
     """How far off elsewhere [mm] an arm is with half of the touches, in the file's order and as they tell most."""
     rng, simulated = np.random.default_rng(seed), put_together(ArmSpec(), geometry, "new")
-    points = [tuple(point) for point in rng.uniform([0.12, -0.14, 0.0], [0.26, 0.14, 0.12], (SHEET, 3)).tolist()]
-    ways = holding.ways_above(ARM, points, 0.03)
+    points = [tuple(point) for point in rng.uniform([0.12, -0.14, 0.0], [0.26, 0.14, 0.12], (5 * SHEET, 3)).tolist()]
+    offered = holding.ways_above(ARM, points, 0.03)
+    # Only where there are so many postures is there a choice.
+    chosen = [number for number, times in Counter(way.number for way in offered).items() if times >= POSTURES][:SHEET]
+    ways = [way for way in offered if way.number in chosen]
     arm = SimulatedArm(ARM, seed=seed, spec=simulated)
     q = np.array([(*way.q_rad, 0.0) for way in ways])
     ticks = np.array([ticks_at(ARM, row) for row in q]) + 0.3 * rng.standard_normal(q.shape)
@@ -210,7 +261,7 @@ def touched(seed: int, geometry: str) -> tuple[float, float]:
     in_order, telling = [way for way in ways if way.posture < POSTURES][: SHEET * POSTURES // 2], list[Way]()
     while len(telling) < len(in_order):
         due = holding.left(ways, telling, (), POSTURES)
-        telling.append(holding.most_telling(ARM, [touches[way] for way in telling], due))
+        telling.append(holding.most_telling(ARM, [touches[way] for way in telling], due)[0])
     found = (holding.fit(ARM, [touches[way] for way in some]).arm for some in (in_order, telling))
     first, second = (1e3 * np.linalg.norm(tool_by(one, away) - at, axis=1).mean() for one in found)
     return float(first), float(second)

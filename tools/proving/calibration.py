@@ -73,7 +73,7 @@ def run(trial: Trial) -> dict[str, Any]:
     arm = _Arm(trial, None, found)
     touches, ways, made = list[Touch](), offered(arm.served.arm, rng), list[holding.Way]()
     while due := holding.left(ways, made, (), POSTURES):
-        way = holding.most_telling(arm.served.arm, touches, due)
+        way = holding.most_telling(arm.served.arm, touches, due)[0]
         if arm.stands((*way.q_rad, *arm.served.goals_rad[len(way.q_rad) :])):
             touches.append(touch(arm.served, np.array(way.point_m), rng))
             made.append(way)
