@@ -7,7 +7,7 @@ import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from textwrap import wrap
+from textwrap import dedent, wrap
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -46,9 +46,10 @@ def help_command(output: Output, topic: str | None) -> None:
 
 # Wider lines are hard to read, however wide the screen.
 WIDEST = 100
-# Parts of a page: code; a table; an item or a heading with its mark, or a paragraph.
+# Parts of a page: code, between fences or indented; a table; an item or a heading with its mark, or a paragraph.
 PARTS = re.compile(
-    r"^```.*\n((?:.*\n)*?)```\n|((?:^\|.*\n)+)|^( *(?:[-*]|\d+\.) |#+ )?((?:(?!```| *- |\||#).+(?:\n|$))+)",
+    r"^```.*\n((?:.*\n)*?)```\n|^((?: {4}.*\n)+)|((?:^\|.*\n)+)"
+    r"|^( *(?:[-*]|\d+\.) |#+ )?((?:(?!```| *- |\||#).+(?:\n|$))+)",
     re.MULTILINE,
 )
 # Within a line: what stands for a picture, a link and stressed words.
@@ -60,14 +61,14 @@ WITHIN = (
 def shown(text: str, screen: Screen) -> Iterator[str]:
     """The lines in which a page of Markdown is shown: as it is written, wrapped, tables as those of the commands."""
     width = min(screen.width, WIDEST)
-    for code, table, mark, words in PARTS.findall(text + "\n"):
+    for fenced, indented, table, mark, words in PARTS.findall(text + "\n"):
         plain = table or " ".join(words.split())
         for pattern, instead in WITHIN:
             plain = re.sub(pattern, instead, plain)
         item = "" if mark.startswith("#") else mark
         yield from [""] * (not item)
-        if code:
-            yield from (f"  {line}" for line in code.splitlines())
+        if fenced or indented:
+            yield from (f"  {line}" for line in (fenced or dedent(indented)).splitlines())
         elif table:
             columns, _, *rows = ([cell.strip() for cell in line.split("|")[1:-1]] for line in plain.splitlines())
             yield from table_lines(screen, columns, rows, columns, width=width)

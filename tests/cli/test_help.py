@@ -40,11 +40,16 @@ def test_a_page_is_shown_whole_and_fits(topic: str) -> None:
     text = page(topic)
     lines = list(shown(text, Screen(file=io.StringIO(), columns=80)))
     parts = re.findall(r"^```.*\n((?:.*\n)*?)```", text, re.MULTILINE)
+    unfenced = re.sub(r"^```.*\n((?:.*\n)*?)```", "", text, flags=re.MULTILINE)
+    indented = re.findall(r"(?<=\n\n)((?: {4}.*\n)+)", unfenced)
     code = [f"  {line}" for part in parts for line in part.splitlines()]
+    typed = [line[2:] for part in indented for line in part.splitlines()]
     assert max(map(len, lines)) <= 80
     places = iter(lines)
     assert all(line in places for line in code)
-    assert not [line for line in lines if line not in code and re.search(r"```|\|-|^#|\*\*\w.*\*\*|\]\(", line)]
+    places = iter(lines)
+    assert all(line in places for line in typed)
+    assert not [line for line in lines if line not in code + typed and re.search(r"```|\|-|^#|\*\*\w.*\*\*|\]\(", line)]
     prose = re.sub(r"^```.*|(?<=\])\([^)]*\)|^\|[^`\n]*\|-", "", text, flags=re.MULTILINE)
     words = re.findall(r"\w+", re.sub(r"^\|.*", "", prose, flags=re.MULTILINE))
     said = iter(re.findall(r"\w+", "\n".join(lines)))
