@@ -15,7 +15,7 @@ from armctl.cli.keys import attended, keys
 from armctl.cli.output import SOCKET, Output, Point, command
 from armctl.client import Client
 from armctl.commissioning.texts import refusal, said
-from armctl.errors import ConfigError, LogError, RequestRefused
+from armctl.errors import ConfigError, LogError
 
 # How near its start a take begins.
 AT_START_M = 0.04

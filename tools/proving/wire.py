@@ -44,7 +44,7 @@ MOVED_RAD = math.radians(3.0)
 STILL_RAD = math.radians(0.4)
 MOVING_IDS = (1, 6)
 SWING_RAD = math.radians(30.0)
-# Where a swing begins: at the rest pose something bears the arm, which sags once the base has turned it away from there.
+# Where a swing begins: at the rest pose something bears the arm, and it sags once the base has turned it away.
 CENTRE_RAD = tuple(math.radians(deg) for deg in (0.0, 130.0, -115.0, 60.0, 0.0, 0.0))
 TO_CENTRE_S = 4.0
 # Of the whole motion, with its approach and dwell: here base and roll turn at 13 deg/s.
