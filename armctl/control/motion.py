@@ -21,7 +21,7 @@ from dataclasses import replace
 import numpy as np
 
 from armctl.control.machine import LATCHED, TO_REST, Following, Motion
-from armctl.control.settle import AWAY_RAD, FAR_RAD, MOST_RAD, TRIM_RAD, settle
+from armctl.control.settle import AWAY_RAD, FAR_RAD, MOST_RAD, STOOD_S, TRIM_RAD, settle
 from armctl.control.tick import Tick
 from armctl.dynamixel.ax12a import TICK_RAD
 from armctl.kinematics.chain import jacobian
@@ -82,7 +82,8 @@ def move(s: Tick, motion: Motion) -> None:
     if motion.progress_s >= end_s:
         ends = bool(motion.stop_code) or trajectory.grip is not None or (s.fresh and not s.all_powered())
         ends |= s.state.phase in LATCHED | TO_REST  # where torque goes off no place is to be kept
-        if not ends and (motion.paused or _arrives(s, motion, end_s) or settle(s, motion)):
+        earlier_rad = sample_trajectory(trajectory, end_s - STOOD_S)
+        if not ends and (motion.paused or _arrives(s, motion, end_s) or settle(s, motion, earlier_rad)):
             return None
         return s.finish_motion(motion.stop_code, "")
     # A goal would energise a servo that has just restarted: none goes out while one is unheard.

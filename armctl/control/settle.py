@@ -5,8 +5,10 @@ Rules.
    such that the tool comes nearest to its place; and again, for `REST_S` in all, its last rest included. From the first
    time on that this would gain too little (`GAIN_M`) nothing changes: noise and stiction would have the arm hunt.
 2. A joint that turns back has its friction to overcome first. The model foresees how much that takes of a change, and
-   each such change shows it. One that did not turn when it was to sticks, and pushed further would jump past its place:
-   it is left where it stands, and the others make up for it.
+   each such change shows it. A joint that was led on until now has all of it to overcome, or none; of one that has
+   stood, its goal shows how much: it is ahead of the joint by what gravity takes, and by what friction holds. One that
+   did not turn when it was to sticks, and pushed further would jump past its place: it is left where it stands, and the
+   others make up for it.
 3. A joint that is far off is kept from where it is wanted. No trim is larger than `TRIM_RAD`, and no correction in all
    than `MOST_RAD` (see motion.py).
 """
@@ -22,6 +24,7 @@ from armctl.control.tick import Tick
 from armctl.dynamixel.ax12a import TICK_RAD
 from armctl.kinematics.chain import jacobian
 from armctl.messages import Event
+from armctl.trajectory.lag import lags_rad
 
 TRIM_RAD = math.radians(3.0)
 # No correction is larger in all.
@@ -34,16 +37,24 @@ FAR_RAD = math.radians(3.0)
 WAIT_S, LOOK_S, REST_S = 0.2, 0.4, 3.0
 # What a change is to gain, the first one, and by how much more each that follows.
 GAIN_M, GAIN_RISE = 0.0003, 1.3
+# A joint has stood where it was led on by less than its friction takes, in the last part of a trajectory.
+STOOD_S = 2.0
 # What turning a joint back costs, and what share of twice its friction it takes.
 REVERSAL_M, REVERSAL_SHARE = 0.0003, 0.85
+# From such a share of it on, a change shows what the whole takes.
+WHOLE = 0.9
 # One that has turned by less than this has not turned.
 TURNED_RAD = 0.5 * TICK_RAD
 # Ticks that goals change by at once, of all joints, and what each is to gain.
 MOST_TICKS, LEAST_M = 12, 0.00002
 
 
-def settle(s: Tick, motion: Motion) -> bool:
-    """Bring the tool to its place once a trajectory is over, tick by tick; False: it is as near as it will come."""
+def settle(s: Tick, motion: Motion, earlier_rad: Sequence[float]) -> bool:
+    """Bring the tool to its place once a trajectory is over, tick by tick; False: it is as near as it will come.
+
+    Args:
+        earlier_rad: Where the joints were wanted `STOOD_S` before its end, shape (joints,).
+    """
     f, n, now = s.state.following, s.robot.chain.n, motion.settling or Settling()
     if f is None or not f.corrected or now.ticks >= s.ticks_in(REST_S):
         return False
@@ -56,6 +67,8 @@ def settle(s: Tick, motion: Motion) -> bool:
     if not s.fresh or now.heard < wait + look:
         return True
     errors = [total / look for total in now.sum_rad]
+    if not now.count:
+        s.state.following = f = replace(f, side=_sides(s, f, errors, earlier_rad))
     stuck = (*now.stuck, *_sticking(now, errors))
     changes = _changes(s, f, errors, stuck, GAIN_M * GAIN_RISE**now.count)
     if not any(changes) or now.ticks + wait + look > s.ticks_in(REST_S):
@@ -64,6 +77,18 @@ def settle(s: Tick, motion: Motion) -> bool:
     seen = (tuple(changes), stuck, tuple(errors), tuple(_change(s, f, changes, slack)), tuple(slack))
     motion.settling = Settling(now.ticks, 0, (), now.count + 1, *seen)
     return True
+
+
+def _sides(s: Tick, f: Following, error_rad: Sequence[float], earlier_rad: Sequence[float]) -> tuple[float, ...]:
+    """On which side friction pushes, of every joint (rule 2)."""
+    n, model, sides = s.robot.chain.n, s.lag_model(), list(f.side)
+    gravity_rad = lags_rad(model, s.robot.chain, f.wanted_rad, (0.0,) * n, (0.0,) * n)
+    for i, (row, goal_rad) in enumerate(zip(model.rows, s.goals_rad(), strict=False)):
+        if friction_rad := abs(row[n]):
+            held_rad = goal_rad - f.wanted_rad[i] + error_rad[i] - gravity_rad[i]
+            led = min(1.0, abs(f.wanted_rad[i] - earlier_rad[i]) / friction_rad)
+            sides[i] = led * sides[i] + (1.0 - led) * min(max(held_rad / friction_rad, -1.0), 1.0)
+    return tuple(sides)
 
 
 def _sticking(last: Settling, error_rad: Sequence[float]) -> tuple[int, ...]:
@@ -124,8 +149,8 @@ def _change(s: Tick, f: Following, changes: Sequence[int], slack_rad: Sequence[f
         if not change:
             continue
         way = 1 if change > 0 else -1
-        turns = way * sides[i] < 0.0
-        step_rad = change * TICK_RAD + (way * slack_rad[i] if turns else 0.0)
+        share = (1.0 - way * sides[i]) / 2.0
+        step_rad = change * TICK_RAD + way * share * slack_rad[i]
         ticks = round((min(max(trims[i] + step_rad, -TRIM_RAD), TRIM_RAD) - trims[i]) / TICK_RAD)
         goal_rad = s.goals_rad()[i]
         ahead_rad, given_rad = goal_rad - s.joints[i].position_rad, goal_rad - f.wanted_rad[i]
@@ -134,7 +159,7 @@ def _change(s: Tick, f: Following, changes: Sequence[int], slack_rad: Sequence[f
         trims[i] += ticks * TICK_RAD
         goal[i] += s.wire[i].direction * ticks
         sides[i] = float(way)
-        back[i] = ticks * TICK_RAD if turns else 0.0
+        back[i] = ticks * TICK_RAD if share > WHOLE else 0.0
     s.state.following = replace(f, trim_rad=tuple(trims), side=tuple(sides))
     s.send_goal(goal)
     told = ", ".join([f"{s.arm.joints[i].name} {change:+d}" for i, change in enumerate(changes) if change])
