@@ -274,6 +274,25 @@ def test_2_a_joint_that_was_led_far_off_is_not_brought_back(moving: Bench, away:
     assert moving.broken == broken
 
 
+@pytest.mark.parametrize(("back", "broken"), [(True, set()), (False, {"2", "7"})])
+def test_2_what_servos_hold_once_the_port_is_back_is_what_another_goal_is_taken_back_to(
+    moving: Bench, back: bool, broken: set[str]
+) -> None:
+    moving.goal(MIDDLE)
+    moving.plan("unplug", 0.1, None)
+    moving.servos[0].goal = MIDDLE + 40  # another program's, while the port is gone
+    moving.at(MIDDLE + 50)
+    moving.tick(Mode.FAULTED, "PORT_GONE")
+    if back:
+        moving.judge.port_back()
+    moving.ticks(20, Mode.FAULTED, "PORT_GONE")
+    moving.plan("second_writer", 0.05)
+    moving.servos[0].goal = MIDDLE + 80
+    moving.tick(Mode.FAULTED, "PORT_GONE")
+    moving.goal(MIDDLE + 40)
+    assert moving.broken & {"2", "7"} == broken
+
+
 @pytest.mark.parametrize(("step", "broken"), [(9, set()), (10, {"2"})])
 def test_2_a_jog_is_slow(holding: Bench, step: int, broken: set[str]) -> None:
     holding.ask("jog")

@@ -205,7 +205,8 @@ class Judge(GoalJudge):
         self._adopting &= mode == OFF  # from now on a fault may send the arm to rest
 
     def port_back(self) -> None:
-        """The program in charge says that a port it lost is there again."""
+        """The program in charge says that a port it lost is there again, and with it what the servos hold by then."""
+        self._take_over(self._time_s)
         self._duties.port_back()
 
     def died(self, now_s: float, servos: Sequence[Servo]) -> None:
