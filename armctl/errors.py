@@ -93,12 +93,12 @@ class IllegalTransition(RequestRefused):
         super().__init__("ILLEGAL_TRANSITION", reason)
 
 
-class UnreachableTarget(ArmctlError):
+class UnreachableTarget(RequestRefused):
     """No joint configuration within the limits puts the tool there."""
 
     def __init__(self, message: str, least_error_m: float) -> None:
         self.least_error_m = least_error_m
-        super().__init__(message)
+        super().__init__("UNREACHABLE", message)
 
 
 class LogError(ArmctlError):

@@ -24,7 +24,7 @@ import armctl.client
 from armctl.cli.keys import attended
 from armctl.cli.parameters import parameter, parameters, tables
 from armctl.cli.screen import Screen, filled
-from armctl.errors import ArmctlError, ConfigError, LogError, NoDaemon, RequestRefused, UnreachableTarget
+from armctl.errors import ArmctlError, ConfigError, LogError, NoDaemon, RequestRefused
 from armctl.files import calibration_dirs, load_arm, load_config, served_socket
 
 if TYPE_CHECKING:
@@ -254,7 +254,7 @@ def next_command(error: ArmctlError, socket: str | None = None) -> str:
     code = getattr(error, "code", "")
     if isinstance(error, ConfigError) and error.file.startswith("armctl "):
         return f"{error.file} --help"
-    if isinstance(error, UnreachableTarget) or code == "UNREACHABLE":
+    if code == "UNREACHABLE":
         return _workspace_command(socket)
     if found := INSTALL.search(str(error)):
         return found[0]

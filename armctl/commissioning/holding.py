@@ -112,9 +112,9 @@ def ways_above(arm: ArmConfig, points_m: Sequence[Point], up_m: float) -> list[W
     robot, ways = robots.of(arm), list[Way]()
     rest_rad = [joint.rest_rad for joint in arm.joints]
     for number, point_m in enumerate(points_m, 1):
-        T = point_target(np.add(point_m, (0.0, 0.0, up_m))).T
         with suppress(UnreachableTarget):
-            found = postures_at(T, rest_rad, DrivenArm(arm, robot, 1.0), turned=False)
+            above = point_target(np.add(point_m, (0.0, 0.0, up_m)))
+            found = postures_at(above, rest_rad, DrivenArm(arm, robot, 1.0))
             led = [q for q in (one[: robot.chain.n] for one in found) if _leads_down(arm, robot, q, up_m)]
             ways += [Way(number, point_m, k, tuple(q)) for k, q in enumerate(led[:POSTURES])]
     return ways

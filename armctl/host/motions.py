@@ -9,12 +9,13 @@ import numpy as np
 
 from armctl.clock import NS_PER_S
 from armctl.config import ArmConfig
-from armctl.errors import RequestRefused, UnreachableTarget
+from armctl.errors import RequestRefused
 from armctl.host.host import Host
 from armctl.host.lease import Client
 from armctl.host.watch import Done, Leg
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.robots.robot import Robot
+from armctl.kinematics.target import Target
 from armctl.kinematics.transform import pose_from_xyz_rpy
 from armctl.messages import JointTrajectory
 from armctl.trajectory.approach import approach_trajectory
@@ -137,20 +138,17 @@ def move_trajectory(request: MoveRequest, q_now: Sequence[float], on: Driven) ->
     Of the postures that reach it the nearest is taken whose whole motion may be gone, or the one that was asked for.
 
     Raises:
-        RequestRefused: no pose within the limits reaches it (UNREACHABLE), or the way there must not be gone
-            (PREFLIGHT, every reason against the nearest posture; LIMIT where the target itself lies outside the joints'
-            limits), or there are not so many postures (POSTURE, each of them).
+        UnreachableTarget: no pose within the limits reaches it.
+        RequestRefused: the way there must not be gone (PREFLIGHT, every reason against the nearest posture; LIMIT
+            where the target itself lies outside the joints' limits), or there are not so many postures (POSTURE, each
+            of them).
     """
-    try:
-        if request.point_m is not None:
-            to = aimed(request.point_m, request.direction)
-            goals = postures_at(to.T, q_now, on, turned=to.turned, direction=to.direction)
-        elif request.pose is not None:
-            goals = postures_at(pose_from_xyz_rpy(*request.pose), q_now, on)
-        else:
-            goals = [list(request.joints_rad or ())]
-    except UnreachableTarget as error:
-        raise RequestRefused("UNREACHABLE", str(error)) from None
+    if request.point_m is not None:
+        goals = postures_at(aimed(request.point_m, request.direction), q_now, on, nearest=True)
+    elif request.pose is not None:
+        goals = postures_at(Target(pose_from_xyz_rpy(*request.pose), turned=True), q_now, on, nearest=True)
+    else:
+        goals = [list(request.joints_rad or ())]
     if len(goals[0]) != len(on.arm.joints):
         raise RequestRefused("LIMIT", f"{len(goals[0])} joint positions for {len(on.arm.joints)} joints")
 

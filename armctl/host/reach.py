@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from typing import Any
 
 from armctl.clock import NS_PER_S
-from armctl.errors import RequestRefused, UnreachableTarget
 from armctl.host.host import Host
 from armctl.host.lease import Client
 from armctl.host.motions import move_result
@@ -76,10 +75,7 @@ def _legs(host: Host, request: ReachRequest) -> list[Leg]:
     def approach(q_now: Sequence[float]) -> JointTrajectory:
         if request.gripper != "stay":
             grasp.gripper_of(host)
-        try:
-            planned.append(grasp.plan_grasp(request, q_now, host))
-        except UnreachableTarget as error:
-            raise RequestRefused("UNREACHABLE", str(error)) from None
+        planned.append(grasp.plan_grasp(request, q_now, host))
         return grasp.approach(planned[0], q_now, host, opening=request.gripper == "grip")
 
     def straight(step: int) -> Leg:

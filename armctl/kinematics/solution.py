@@ -135,7 +135,7 @@ def solve(
         return alone
     q, least = _found(form, robot, target, present, limits, seed)
     found = answer(robot, target, q, present, limits, least=least, polish=polish)
-    if not (stands and within_limits(present, limits) and _errors(robot, target, present[None])[2][0]):
+    if not (stands and within_limits(present, limits) and errors_of(robot, target, present[None])[2][0]):
         return found
     # The arm is there: it stays.
     here = Solution(tuple(present.tolist()), True, partial(_missed, robot, target))
@@ -150,7 +150,7 @@ def answer(
     q = within_a_turn(q, limits)
     if polish:
         q = _polished(robot, target, q)
-    position_m, turn_rad, reached = _errors(robot, target, q)
+    position_m, turn_rad, reached = errors_of(robot, target, q)
     keep = np.flatnonzero(reached) if reached.any() else np.arange(len(q))
     misses = np.zeros(len(keep)) if reached.any() else np.round(position_m + turn_rad, 9)[keep]
     order = keep[_order(q[keep], weighted_travel(q[keep], present, limits), ~within_limits(q[keep], limits), misses)]
@@ -189,7 +189,7 @@ def _alone(form: ClosedForm, robot: Robot, target: Target, present: FloatArray, 
 
 
 def _missed(robot: Robot, target: Target, q: tuple[float, ...]) -> tuple[float, float]:
-    position_m, turn_rad, _ = _errors(robot, target, np.array([q]))
+    position_m, turn_rad, _ = errors_of(robot, target, np.array([q]))
     return float(position_m[0]), float(turn_rad[0])
 
 
@@ -202,7 +202,7 @@ def _found(
         families = form.pose_families(target.T) if target.turned else form.positions(target.position_m[None])[0]
         branches = [_cheapest(finite(family), present, limits, MEMBERS) for family in families]
         of, starts = np.repeat(np.arange(len(branches)), list(map(len, branches))), np.concatenate(branches)
-        on = _errors(robot, target, starts)[2]
+        on = errors_of(robot, target, starts)[2]
         q = _slid(robot, target, starts[on], present, limits)
         # Where members of families lie in steps there may be one within the limits between two of them.
         if len(q) and (families.shape[1] == 1 or not _beyond_rad(q, limits).all()):
@@ -224,8 +224,8 @@ def _searched(
     rng = np.random.default_rng(seed)
     for ranges in (*(limits,) * ROUNDS, _whole_turns(robot)):
         drawn = rng.uniform(ranges[:, 0], ranges[:, 1], (STARTS, len(ranges)))
-        q = _refined(robot, target, np.vstack([present, starts, drawn]), ranges)
-        position_m, turn_rad, on = _errors(robot, target, q)
+        q = refine(robot, target, np.vstack([present, starts, drawn]), ranges)
+        position_m, turn_rad, on = errors_of(robot, target, q)
         if on.any():
             q = _distinct(_cheapest(q[on], present, limits, len(q)))[:FOUND]
             return _slid(robot, target, q, present, limits), 0.0
@@ -299,8 +299,8 @@ def _slid(robot: Robot, target: Target, q: FloatArray, present: FloatArray, limi
         tried = (now[:, None, None] + steps[..., None] * ways[:, :, None]).reshape(len(now), -1, len(limits))
         tried = within_a_turn(tried, limits)
         tried_cost = _cost(tried, present, limits)
-        moved = _refined(robot, target, tried[np.arange(len(now)), tried_cost.argmin(axis=1)], limits)
-        moved_cost = np.where(_errors(robot, target, moved)[2], _cost(moved, present, limits), np.inf)
+        moved = refine(robot, target, tried[np.arange(len(now)), tried_cost.argmin(axis=1)], limits)
+        moved_cost = np.where(errors_of(robot, target, moved)[2], _cost(moved, present, limits), np.inf)
         better = moved_cost < cost[open_] - SAME_RAD
         q[open_[better]], cost[open_[better]] = moved[better], moved_cost[better]
         # Where even the straight way comes no nearer there is nothing to be had.
@@ -309,7 +309,7 @@ def _slid(robot: Robot, target: Target, q: FloatArray, present: FloatArray, limi
     return q
 
 
-def _errors(robot: Robot, target: Target, q: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+def errors_of(robot: Robot, target: Target, q: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
     """Distance [m], turn [rad] and whether the target counts as reached, for configurations of shape (k, n)."""
     if target.turned:
         position_m, turn_rad = pose_errors(robot.chain, q, np.broadcast_to(target.T, (len(q), 4, 4)), target.direction)
@@ -319,7 +319,7 @@ def _errors(robot: Robot, target: Target, q: FloatArray) -> tuple[FloatArray, Fl
     return position_m, turn_rad, (position_m <= REACHED_M) & (turn_rad <= REACHED_RAD)
 
 
-def _refined(robot: Robot, target: Target, q: FloatArray, limits: FloatArray) -> FloatArray:
+def refine(robot: Robot, target: Target, q: FloatArray, limits: FloatArray) -> FloatArray:
     """The configurations, shape (k, n), brought as near to the target as they go within limits."""
     T = np.broadcast_to(target.T, (len(q), 4, 4))
     return refine_poses(robot.chain, T, q, limits, turned=target.turned, direction=target.direction)
@@ -332,6 +332,6 @@ def _whole_turns(robot: Robot) -> FloatArray:
 
 def _polished(robot: Robot, target: Target, q: FloatArray) -> FloatArray:
     """The configurations brought onto the target, each near where it was; as they are where that does not succeed."""
-    refined = _refined(robot, target, q, _whole_turns(robot))
+    refined = refine(robot, target, q, _whole_turns(robot))
     near = q + (refined - q + np.pi) % (2.0 * np.pi) - np.pi
-    return np.where(_errors(robot, target, refined)[2][:, None], near, q)
+    return np.where(errors_of(robot, target, refined)[2][:, None], near, q)

@@ -10,6 +10,7 @@ Rules.
 
 import math
 from collections.abc import Iterator, Sequence
+from contextlib import nullcontext, suppress
 from dataclasses import replace
 from typing import Literal
 
@@ -190,15 +191,10 @@ def _solutions(request: ReachRequest, q_now: Sequence[float], on: Driven) -> Ite
     ]
     yield from found
     # Where none of these will do, another member of a family may.
-    try:
-        others = postures_at(target.T, q_now, on, turned=target.turned, direction=target.direction)
-    except UnreachableTarget:
-        if not found:
-            raise
-        return
-    for q in (np.array(one[:n]) for one in others):
-        if all(np.abs(q - one).max() >= SAME_RAD for one in found):
-            yield q
+    with suppress(UnreachableTarget) if found else nullcontext():
+        for q in (np.array(one[:n]) for one in postures_at(target, q_now, on)):
+            if all(np.abs(q - one).max() >= SAME_RAD for one in found):
+                yield q
 
 
 def _straight(q: FloatArray, point: FloatArray, on: Driven, off_m: float, along: Along) -> FloatArray:

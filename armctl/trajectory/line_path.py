@@ -169,11 +169,8 @@ def _out_of_reach(
     chain: SerialChain, limits: FloatArray, A: FloatArray, B: FloatArray, floor_m: float, rng: np.random.Generator
 ) -> Sequence[str]:
     """Why there is no way, and the nearest line that can be reached."""
-    reasons = []
-    for name, X in (("A", A), ("B", B)):
-        if missing := out_of_reach(chain, X, limits, floor_m, rng):
-            reasons.append(f"{name} ({point_text(X)}) m is {missing}")
-    if reasons:
+    far = [(name, X, out_of_reach(chain, X, limits, floor_m, rng)) for name, X in (("A", A), ("B", B))]
+    if reasons := [f"{name} ({point_text(X)}) m is {missing}" for name, X, missing in far if missing]:
         return reasons
     middle = (A + B) / 2.0
     for share in np.arange(0.95, 0.05, -0.05):

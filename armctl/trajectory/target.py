@@ -1,8 +1,9 @@
 """Where the joints have to be for the tool to be somewhere: the choice nearest to where they are.
 
-The search begins at the present pose, where the rotation counts at all that inverse kinematics lists (of a point that
-takes too long), and at `STARTS` poses drawn within the limits, always the same ones. The solutions are sorted by how
-far their farthest joint travels.
+The search begins at the present pose, where the rotation counts or the nearest is wanted at all that inverse kinematics
+lists (of any point that takes too long), and at `STARTS` poses drawn within the limits, always the same ones. The
+solutions are sorted by how far their farthest joint travels. An arm with a joint to spare has families of them; the
+nearest is found by narrowing the joints' ranges about the present pose.
 """
 
 import math
@@ -14,8 +15,8 @@ from pydantic import Field
 
 from armctl.config import Frozen
 from armctl.errors import RequestRefused
-from armctl.kinematics.inverse import pose_errors, refine_poses, unreachable
-from armctl.kinematics.solution import solve, within_limits
+from armctl.kinematics.inverse import unreachable
+from armctl.kinematics.solution import errors_of, refine, solve, within_limits
 from armctl.kinematics.target import Target, direction_target, point_target
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import LONGEST_S
@@ -23,8 +24,6 @@ from armctl.trajectory.bounds import Direction, Joints, Point, Pose
 from armctl.trajectory.preflight import Driven
 
 STARTS = 12
-POSITION_TOLERANCE_M = 1e-6
-ORIENTATION_TOLERANCE_RAD = 1e-5
 # Postures that are one.
 SAME_RAD = 0.02
 # As many postures as a request may choose among.
@@ -53,39 +52,45 @@ class MoveRequest(Frozen):
             raise ValueError("direction: it goes with point_m alone; a pose has its own")
 
 
-def postures_at(
-    T: FloatArray, q_now: Sequence[float], on: Driven, *, turned: bool = True, direction: FloatArray | None = None
-) -> list[list[float]]:
-    """Joint positions [rad] inside the limits that bring the tool to a pose, the nearest first.
+def postures_at(target: Target, q_now: Sequence[float], on: Driven, *, nearest: bool = False) -> list[list[float]]:
+    """Joint positions [rad] inside the limits that bring the tool to a target, the nearest first.
 
     Joints beyond the chain stay.
 
     Args:
-        T: Wanted tool pose in the base frame, shape (4, 4).
         q_now: Present joint positions [rad], shape (joints,).
-        turned: Whether the rotation counts; without it the position alone does.
-        direction: Where the tool is to point, unit vector; of the rotation nothing else counts then.
+        nearest: Whether the nearest member of a family is looked for, to `SAME_RAD`; without it any member is taken.
     Raises:
         UnreachableTarget: there are none; carries the nearest distance found.
     """
     chain = on.robot.chain
     limits = np.array([joint.limits_rad for joint in on.arm.joints[: chain.n]])
     here = np.array(q_now[: chain.n])
-    target = Target(T, turned, direction)
-    known = [one.q_rad for one in solve(on.robot, target, present=here, limits=limits).solutions] if turned else []
-    starts = np.vstack([here, *known, *np.random.default_rng(0).uniform(limits[:, 0], limits[:, 1], (STARTS, chain.n))])
-    targets = np.broadcast_to(T, (len(starts), 4, 4))
-    q = refine_poses(chain, targets, starts, limits, turned=turned, direction=direction)
-    away_m, turned_rad = pose_errors(chain, q, targets, direction)
-    turned_rad = turned_rad * turned
-    reached = (away_m <= POSITION_TOLERANCE_M) & (turned_rad <= ORIENTATION_TOLERANCE_RAD) & within_limits(q, limits)
-    if not reached.any():
+    known = solve(on.robot, target, present=here, limits=limits).solutions if target.turned or nearest else ()
+    drawn = np.random.default_rng(0).uniform(limits[:, 0], limits[:, 1], (STARTS, chain.n))
+    starts = np.vstack([here, *(one.q_rad for one in known), *drawn])
+
+    def searched(ranges: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """What reaches the target within joint ranges, the nearest first; the distance and turn that each ends at."""
+        q = refine(on.robot, target, starts, ranges)
+        away_m, turned_rad, reached = errors_of(on.robot, target, q)
+        q = np.clip(q[reached & within_limits(q, ranges)], ranges[:, 0], ranges[:, 1])
+        return q[np.abs(q - here).max(axis=1).argsort(kind="stable")], away_m, turned_rad
+
+    found, away_m, turned_rad = searched(limits)
+    if not len(found):
         # How near the best of the searches came; a pose is judged by both, a decimetre against a radian.
-        nearest = int((away_m + 0.1 * turned_rad).argmin())
-        turn = f" and {math.degrees(turned_rad[nearest]):.1f} deg" if turned else ""
-        raise unreachable(T[:3, 3], float(away_m[nearest]), f"{turn} within the joint limits")
-    found = np.clip(q[reached], limits[:, 0], limits[:, 1])
-    found = found[np.abs(found - here).max(axis=1).argsort(kind="stable")]
+        best = int((away_m + 0.1 * turned_rad).argmin())
+        turn = f" and {math.degrees(turned_rad[best]):.1f} deg" if target.turned else ""
+        raise unreachable(target.position_m, float(away_m[best]), f"{turn} within the joint limits")
+    # Of a family a search finds any member. The nearest lies in the least box about the present pose that holds one.
+    too_small, holds = 0.0, float(np.abs(found[0] - here).max()) if nearest else 0.0
+    box = holds - SAME_RAD
+    while holds - too_small > SAME_RAD:
+        inside, *_ = searched(np.clip(here[:, None] + np.array([-box, box]), *limits.T[..., None]))
+        found = np.vstack([inside[:1], found])
+        too_small, holds = (too_small, float(np.abs(inside[0] - here).max())) if len(inside) else (box, holds)
+        box = (too_small + holds) / 2.0
     distinct = [q for i, q in enumerate(found) if not (np.abs(found[:i] - q).max(axis=1) < SAME_RAD).any()]
     return [[*q.tolist(), *q_now[chain.n :]] for q in distinct]
 

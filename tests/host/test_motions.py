@@ -19,7 +19,9 @@ from armctl.host.motions import move, move_trajectory, play, run
 from armctl.host.watch import refuse_at_limit
 from armctl.kinematics import robots
 from armctl.kinematics.chain import forward_kinematics, tool_position
-from armctl.kinematics.transform import pose_from_xyz_rpy
+from armctl.kinematics.inverse import refine_poses
+from armctl.kinematics.target import point_target
+from armctl.kinematics.transform import FloatArray, rpy_from_matrix
 from armctl.messages import Hold, Mode, Run
 from armctl.trajectory.approach import approach_trajectory
 from armctl.trajectory.playback import PlayRequest, TaughtMotion
@@ -402,24 +404,71 @@ REST_RAD = [joint.rest_rad for joint in load_arm("ax12-line").joints]
 
 
 def test_a_point_whose_nearest_posture_must_not_be_gone_to_is_reached_in_another() -> None:
-    """Of 40 points over the table, from the rest pose; before, every one whose nearest posture touches was refused."""
+    """Of 40 points over the table, each from a pose of its own; once a nearest posture that touches was refused."""
     arm, rng = load_arm("ax12-line"), np.random.default_rng(2)
     on, others = DrivenArm(arm, robots.of(arm), PERIOD_S), 0
+    low, high = np.array([joint.limits_rad for joint in arm.joints]).T
     for point in rng.uniform((0.05, -0.2, 0.03), (0.25, 0.2, 0.3), (40, 3)):
-        postures = postures_at(pose_from_xyz_rpy(*point), REST_RAD, on, turned=False)
+        here = rng.uniform(low, high).tolist()
+        postures = postures_at(point_target(point), here, on, nearest=True)
         allowed = []
         for goal in postures:
-            motion = approach_trajectory(REST_RAD, goal, on, "move")
-            if not preflight_motion(np.array(motion.positions_rad), on, start_rad=REST_RAD):
+            motion = approach_trajectory(here, goal, on, "move")
+            if not preflight_motion(np.array(motion.positions_rad), on, start_rad=here):
                 allowed.append(goal)
         request = MoveRequest(point_m=tuple(point.tolist()))
         if not allowed:
             with refused("PREFLIGHT"):
-                way(request, REST_RAD)
+                way(request, here)
             continue
-        assert way(request, REST_RAD) == pytest.approx(allowed[0])
+        assert way(request, here) == pytest.approx(allowed[0])
         others += allowed[0] != postures[0]
     assert others > 0
+
+
+@pytest.mark.parametrize("name", ["crane-plus-v2", "ax12-line", "crustcrawler"])
+def test_no_free_posture_found_anywhere_is_nearer_than_the_one_that_is_moved_to(name: str) -> None:
+    """An arm with a joint to spare reaches a point in a family of postures; any of them was taken before."""
+    arm, rng = load_arm(name), np.random.default_rng(8)
+    robot, n = robots.of(arm), robots.of(arm).chain.n
+    on, rest = DrivenArm(arm, robot, PERIOD_S), np.array([joint.rest_rad for joint in arm.joints])
+    limits = np.array([joint.limits_rad for joint in arm.joints[:n]])
+
+    def motion(here: FloatArray, goal: FloatArray) -> FloatArray:
+        return np.array(approach_trajectory(here.tolist(), [*goal, *rest[n:]], on, "move").positions_rad)
+
+    judged = 0
+    while judged < 8:
+        here, goal = np.tile(rest, (2, 1))
+        here[:n], goal[:n] = rng.uniform(limits[:, 0], limits[:, 1], (2, n))
+        if preflight_motion(motion(here, goal[:n]), on):
+            continue
+        judged += 1
+        point = tool_position(robot.chain, goal[:n])
+        end = np.array(move_trajectory(MoveRequest(point_m=tuple(point.tolist())), here.tolist(), on).positions_rad[-1])
+        far = np.abs(end - here).max()
+        starts = here[:n] + np.outer(np.linspace(0.0, 1.0, 100), np.ones(n)) * rng.uniform(-far, far, (100, n))
+        T = np.broadcast_to(point_target(point).T, (len(starts) + 1, 4, 4))
+        q = refine_poses(robot.chain, T, np.vstack([goal[:n], starts]), limits, turned=False)
+        ways = np.abs(q - here[:n]).max(axis=1) + 10.0 * (
+            np.abs(tool_position(robot.chain, q) - point).max(axis=1) > 1e-6
+        )
+        for k in np.flatnonzero(ways < far - 0.03):
+            assert preflight_motion(motion(here, q[k]), on), f"{name}: {np.degrees([far, ways[k]])} deg"
+
+
+@pytest.mark.parametrize("name", ["crane-plus-v2", "ax12-line", "crustcrawler", "transfer-6dof"])
+def test_an_arm_that_is_where_it_is_to_move_stays_as_it_is(name: str) -> None:
+    arm, rng = load_arm(name), np.random.default_rng(9)
+    robot, limits = robots.of(arm), np.array([joint.limits_rad for joint in arm.joints])
+    for here in rng.uniform(limits[:, 0], limits[:, 1], (20, len(limits))):
+        on = DrivenArm(arm, robot, PERIOD_S)
+        if not preflight_motion(np.array([here, here]), on):
+            T = forward_kinematics(robot.chain, here[: robot.chain.n])
+            pose = (*T[:3, 3].tolist(), *rpy_from_matrix(T[:3, :3]))
+            for request in (MoveRequest(point_m=pose[:3]), MoveRequest(pose=pose)):
+                made = move_trajectory(request, here.tolist(), on)
+                assert np.abs(made.positions_rad[-1] - here).max() < 1e-5
 
 
 def test_a_point_is_moved_to_with_the_tool_pointing_where_it_is_wanted() -> None:

@@ -15,7 +15,7 @@ from armctl.files import load_arm
 from armctl.kinematics import robots
 from armctl.kinematics.chain import forward_kinematics, tool_position
 from armctl.kinematics.solution import solve
-from armctl.kinematics.target import pose_target
+from armctl.kinematics.target import point_target, pose_target
 from armctl.kinematics.transform import FloatArray, pose_from_xyz_rpy
 from armctl.trajectory.course import Line
 from armctl.trajectory.line_path import MARGIN_RAD, STATIONS, levers_m, line_paths, onto, sensitivity_m
@@ -33,7 +33,7 @@ configurations = st.tuples(*(st.floats(low, high) for low, high in LIMITS.tolist
 
 
 def at_point(point: FloatArray) -> list[float]:
-    return postures_at(pose_from_xyz_rpy(*point), NOW, ON, turned=False)[0]
+    return postures_at(point_target(point), NOW, ON, nearest=True)[0]
 
 
 @given(configurations)
@@ -66,7 +66,9 @@ def test_a_point_out_of_reach_says_how_near_the_tool_comes() -> None:
 def test_a_pose_near_the_present_one_is_reached(q: tuple[float, ...]) -> None:
     wanted = np.array(NOW[:N]) + 0.1 * np.clip(np.array(q), -1.0, 1.0)
     T = forward_kinematics(CHAIN, wanted)
-    assert forward_kinematics(CHAIN, np.array(postures_at(T, NOW, ON)[0][:N])) == pytest.approx(T, abs=1e-3)
+    assert forward_kinematics(CHAIN, np.array(postures_at(pose_target(T), NOW, ON)[0][:N])) == pytest.approx(
+        T, abs=1e-3
+    )
 
 
 SIX = ("transfer-6dof", "wristed")
@@ -110,7 +112,7 @@ def test_a_pose_of_joints_within_the_limits_is_never_said_to_be_out_of_reach(nam
         if k % 3 == 0:
             q[k % 6] = limits[k % 6, k % 2]
         T = forward_kinematics(robot.chain, q)
-        found = np.array(postures_at(T, here.tolist(), DrivenArm(arm, robot, 0.1)))
+        found = np.array(postures_at(pose_target(T), here.tolist(), DrivenArm(arm, robot, 0.1)))
         np.testing.assert_allclose(forward_kinematics(robot.chain, found), [T] * len(found), atol=1e-5)
         assert ((found >= limits[:, 0]) & (found <= limits[:, 1])).all()
         listed = solve(robot, pose_target(T), present=here, limits=limits).solutions
@@ -120,7 +122,7 @@ def test_a_pose_of_joints_within_the_limits_is_never_said_to_be_out_of_reach(nam
 
 def test_a_pose_the_arm_cannot_take_says_how_far_off_it_stays() -> None:
     with pytest.raises(UnreachableTarget, match=r"no nearer than .* mm and .* deg"):
-        postures_at(pose_from_xyz_rpy(0.18, 0.0, 0.15, yaw=math.pi / 2.0), NOW, ON)
+        postures_at(pose_target(pose_from_xyz_rpy(0.18, 0.0, 0.15, yaw=math.pi / 2.0)), NOW, ON)
 
 
 # --------------------------------------------------------------------------------------------------------- along a line
