@@ -154,11 +154,11 @@ def reach_command(output: Output, grip: bool, let_go: bool, **way: Any) -> int:
 def transfer_command(
     output: Output, out: Path | None, virtual: str | None, log_path: Path | None, seed: int, **stations: Any
 ) -> None:
-    """Pick at one station, carry, place at the other, and go back: the paper's transfer robot at work.
+    """Pick at one station, carry, place at the other, and go back: the paper's transfer robot at work, or another arm.
 
-    The paw points down. Displacement, velocity, acceleration, angular velocity and angular acceleration of its midpoint
-    are computed from the log the daemon records and compared with the model. Link lengths are the calibration file's
-    (`lengths_m`).
+    The tool points down, as with `reach --direction 0,0,-1`. Displacement, velocity, acceleration, angular velocity and
+    angular acceleration of the paw's midpoint are computed from the log the daemon records and compared with the model.
+    Link lengths are the calibration file's (`lengths_m`).
 
     Example: armctl transfer --carry 3 --out transfer.html
     """

@@ -1,9 +1,10 @@
 """The cycle of a transfer robot: down to one station, up, across to the other, down, up, and back (Lu & Liu, 3).
 
 Rules.
-1. The paw points straight down, as the z axis of its frame does, its x axis away from the base or towards it. All lifts
-   are straight and vertical: quintics in the joints through `LIFT_PIECES` + 1 places of inverse kinematics, which pass
-   each place with the velocity and acceleration that the Jacobian gives them there.
+1. The paw points straight down, as a tool that reaches does. Where that is the z axis of its frame, as in the paper,
+   the x axis leads away from the base or towards it if it can; else it is turned as is nearest. All lifts are straight
+   and vertical: quintics in the joints through `LIFT_PIECES` + 1 places of inverse kinematics, which pass each place
+   with the velocity and acceleration that the Jacobian gives them there.
 2. Across, all joints go by one quintic from rest to rest.
 3. The paper prints curves and no motion: stations, height and times are whatever is asked for, link lengths the arm's.
 4. Of the poses over the first station the one is taken from which the joints travel least to the other station; every
@@ -21,8 +22,9 @@ from pydantic import Field
 from armctl.config import ArmConfig, Frozen
 from armctl.errors import RequestRefused
 from armctl.kinematics import solution
-from armctl.kinematics.chain import jacobian
+from armctl.kinematics.chain import forward_kinematics, jacobian, joint_axes
 from armctl.kinematics.differential import jacobian_rate, joint_rates
+from armctl.kinematics.inverse import pointing
 from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.target import pose_target
 from armctl.kinematics.transform import FloatArray
@@ -32,12 +34,16 @@ from armctl.trajectory.bounds import Point
 from armctl.trajectory.plan import approached
 from armctl.trajectory.preflight import Driven, preflight_motion
 from armctl.trajectory.quintic import Quintic, quintic
+from armctl.trajectory.target import aimed
 
 # Event under which a log holds the parameters of the cycle that it records.
 NOTED = "TRANSFER"
 LIFT_PIECES = 4
 # No joint turns so far between two places of a lift unless the arm changes into another pose.
 JUMP_RAD = math.radians(60.0)
+# Kept free at each joint limit: between two places of a lift joints swing out a little.
+ROOM_RAD = math.radians(1.0)
+DOWN = (0.0, 0.0, -1.0)
 
 
 class TransferRequest(Frozen):
@@ -87,22 +93,20 @@ def motion(cycle: TransferRequest, arm: ArmConfig, robot: Robot) -> Motion:
     Raises:
         RequestRefused: code UNREACHABLE, a place that the paw cannot take within the limits, with the distance.
     """
-    rest = np.array([joint.rest_rad for joint in arm.joints[: robot.chain.n]])
-    best: tuple[float, list[Quintic], list[Quintic]] | None = None
-    refused: list[RequestRefused] = []
-    for start in _paw_down(np.add(cycle.pick_m, (0.0, 0.0, cycle.height_m)), rest, arm, robot):
+    joints = arm.joints[: robot.chain.n]
+    rest = np.array([joint.rest_rad for joint in joints])
+    limits = np.array([joint.limits_rad for joint in joints]) + np.array([ROOM_RAD, -ROOM_RAD])
+    lifts, refused = list[list[list[Quintic]]](), list[RequestRefused]()
+    for start in _paw_down(np.add(cycle.pick_m, (0.0, 0.0, cycle.height_m)), rest, limits, robot):
         try:
-            pick, place = (_lift(np.array(at), start, cycle, arm, robot) for at in (cycle.pick_m, cycle.place_m))
+            lifts.append([_lift(np.array(at), start, cycle, limits, robot) for at in (cycle.pick_m, cycle.place_m)])
         except RequestRefused as reason:
             refused.append(reason)
-            continue
-        travel = float(np.abs(_begin(place) - _begin(pick)).max())
-        if best is None or travel < best[0] - 1e-9:
-            best = travel, pick, place
-    if best is None:
+    if not lifts:
         raise refused[0]
-    _, pick, place = best
-    over_pick, over_place = _begin(pick), _begin(place)
+    # A piece begins at the first of its coefficients.
+    pick, place = min(lifts, key=lambda both: np.ptp([lift[0].coefficients[0] for lift in both], axis=0).max().round(9))
+    over_pick, over_place = (lift[0].coefficients[0] for lift in (pick, place))
     there, back = (quintic(*ends, cycle.carry_s) for ends in ((over_pick, over_place), (over_place, over_pick)))
     return Motion((*_down_and_up(pick, cycle), there, *_down_and_up(place, cycle), back) * cycle.cycles)
 
@@ -141,13 +145,18 @@ def _reversed(piece: Quintic) -> Quintic:
 
 
 def _lift(
-    station_m: FloatArray, near: FloatArray, cycle: TransferRequest, arm: ArmConfig, robot: Robot
+    station_m: FloatArray, near: FloatArray, cycle: TransferRequest, limits: FloatArray, robot: Robot
 ) -> list[Quintic]:
     """From over a station, as near to `near` as there is, straight down onto it."""
     down = quintic(station_m + np.array([0.0, 0.0, cycle.height_m]), station_m, cycle.lift_s)
     ends: list[tuple[FloatArray, FloatArray, FloatArray]] = []
     for place, speed, change in zip(*down.sample(np.linspace(0.0, cycle.lift_s, LIFT_PIECES + 1)), strict=True):
-        there = _paw_down(place, near, arm, robot)[0]
+        T = forward_kinematics(robot.chain, near)
+        T[:3, 3] = place
+        below = pose_target(T)  # on its way down the paw does not turn
+        q = solution.refine(robot, below, near[None], limits)
+        on_it = ends and solution.errors_of(robot, below, q)[2][0]
+        there = q[0] if on_it else _paw_down(place, near, limits, robot)[0]
         if ends and np.abs(there - near).max() > JUMP_RAD:
             x, y, z = place.tolist()
             why = f"on its way down the arm would have to change its pose at ({x:.3f}, {y:.3f}, {z:.3f}) m"
@@ -161,30 +170,26 @@ def _lift(
     return [quintic(q0, q1, duration_s, v0=v0, v1=v1, a0=a0, a1=a1) for (q0, v0, a0), (q1, v1, a1) in pairwise(ends)]
 
 
-def _begin(lift: list[Quintic]) -> FloatArray:
-    return np.asarray(lift[0].coefficients[0])
-
-
-def _paw_down(point: FloatArray, near: FloatArray, arm: ArmConfig, robot: Robot) -> list[FloatArray]:
+def _paw_down(point: FloatArray, near: FloatArray, limits: FloatArray, robot: Robot) -> list[FloatArray]:
     """Joint positions [rad] within the limits that put the paw there, pointing down; those nearest to `near` first.
 
     Raises:
         RequestRefused: code UNREACHABLE, there are none.
     """
     x, y, z = point.tolist()
-    away = max(math.hypot(x, y), 1e-9)
-    limits = np.array([joint.limits_rad for joint in arm.joints[: robot.chain.n]])
+    out = point[:2] - joint_axes(robot.chain, np.zeros((1, robot.chain.n)))[0][0][1][:2, 0]
+    c, s = (out / max(math.hypot(*out), 1e-9)).tolist()
+    turns = ((c, s), (-c, -s)) if pointing(robot.chain)[2] > 1.0 - 1e-9 else ()
+    radial = [np.array([[c, s, 0.0, x], [s, -c, 0.0, y], [0.0, 0.0, -1.0, z], [0.0, 0.0, 0.0, 1.0]]) for c, s in turns]
     found: list[FloatArray] = []
-    for c, s in ((x / away, y / away), (-x / away, -y / away)):
-        T = np.array([[c, s, 0.0, x], [s, -c, 0.0, y], [0.0, 0.0, -1.0, z], [0.0, 0.0, 0.0, 1.0]])
-        answer = solution.solve(robot, pose_target(T), present=near, limits=limits)
-        found += [np.array(one.q_rad) for one in answer.solutions if answer.reachable and one.within_limits]
-    if not found:
-        near_m = answer.least_position_error_m
-        why = f"the nearest place is {1e3 * near_m:.1f} mm off; move the station"
-        if answer.reachable:
-            why = "only outside the joint limits; move the station"
-        elif near_m < solution.REACHED_M:
-            why = "the z axis of its frame cannot; where the tool lies along another, turn its frame by tool_rpy_deg"
-        raise RequestRefused("UNREACHABLE", f"the paw cannot point down at ({x:.3f}, {y:.3f}, {z:.3f}) m: {why}")
-    return sorted(found, key=lambda q: float(solution.weighted_travel(q, near, limits)))
+    for targets in ([pose_target(T) for T in radial], [aimed((x, y, z), DOWN)]):
+        for target in () if found else targets:
+            answer = solution.solve(robot, target, present=near, limits=limits)
+            found += [np.array(one.q_rad) for one in answer.solutions if answer.reachable and one.within_limits]
+    if found:
+        return sorted(found, key=lambda q: float(solution.weighted_travel(q, near, limits)))
+    near_m = answer.least_position_error_m
+    why = f"the nearest place is {1e3 * near_m:.1f} mm off; move the station"
+    if answer.reachable or near_m < solution.REACHED_M:
+        why = "only outside the joint limits; move the station"
+    raise RequestRefused("UNREACHABLE", f"the paw cannot point down at ({x:.3f}, {y:.3f}, {z:.3f}) m: {why}")

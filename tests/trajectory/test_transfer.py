@@ -9,10 +9,13 @@ from hypothesis import given, reject, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from armctl.config import ChainTable
 from armctl.errors import RequestRefused
 from armctl.files import load_arm
 from armctl.kinematics import robots
 from armctl.kinematics.chain import forward_kinematics, tool_position
+from armctl.kinematics.inverse import pointing
+from armctl.kinematics.transform import matrix_from_rpy, rpy_from_matrix
 from armctl.trajectory.preflight import DrivenArm
 from armctl.trajectory.transfer import TransferRequest, motion, transfer_trajectory
 from tests.host.doubles import refused
@@ -93,11 +96,30 @@ def test_a_station_out_of_reach_is_refused_with_the_distance() -> None:
         motion(far, ARM, ROBOT)
 
 
-def test_an_arm_whose_tool_lies_along_another_axis_is_told_to_turn_its_frame() -> None:
-    """The default arm's lies along x; no other station would do."""
-    arm = load_arm("ax12-line")
-    with refused("UNREACHABLE", r"at \(0.180, 0.050, 0.140\) m: the z axis .* cannot; .* tool_rpy_deg$"):
-        motion(TransferRequest(pick_m=(0.18, 0.05, 0.08), place_m=(0.18, -0.05, 0.08)), arm, robots.of(arm))
+@pytest.mark.parametrize("reach_m", [0.14, 0.17, 0.2])
+@pytest.mark.parametrize(
+    ("name", "turn_deg"), [("ax12-line", 0.0), ("phantomx-reactor", 0.0), ("phantomx-reactor", 70.0)]
+)
+def test_any_tool_points_down_as_it_does_when_it_reaches(name: str, turn_deg: float, reach_m: float) -> None:
+    """Wherever the axes of its frame lie: ax12-line's lies along x, and a frame may be turned about its own z."""
+    arm = load_arm(name)
+    if turn_deg:
+        assert isinstance(arm.robot, ChainTable)
+        R = matrix_from_rpy(*np.radians(arm.robot.tool_rpy_deg)) @ matrix_from_rpy(0.0, 0.0, math.radians(turn_deg))
+        table = arm.robot.model_copy(update={"tool_rpy_deg": tuple(np.degrees(rpy_from_matrix(R)).tolist())})
+        arm = arm.model_copy(update={"robot": table})
+    robot, stations = robots.of(arm), [(reach_m, y, 0.06) for y in (-0.05, 0.05)]
+    cycle = TransferRequest(pick_m=stations[0], place_m=stations[1], height_m=0.03)
+    here = [joint.rest_rad for joint in arm.joints]
+    made = transfer_trajectory(cycle, here, DrivenArm(arm, robot, 0.1))
+    T = forward_kinematics(robot.chain, np.array(made.positions_rad)[round(made.begin_s / 0.1) :, : robot.chain.n])
+    high = T[:, 2, 3]
+    for station in stations:
+        off_m = np.linalg.norm(T[:, :3, 3] - station, axis=1)
+        assert off_m.min() < 1e-4
+        lift = T[(np.hypot(*(T[:, :2, 3] - station[:2]).T) < 1e-3) & (high < 0.09)]
+        np.testing.assert_allclose(lift[:, :3, :3] @ pointing(robot.chain), [(0.0, 0.0, -1.0)] * len(lift), atol=0.01)
+        assert len(lift) > 40
 
 
 def test_a_cycle_that_is_too_fast_is_refused_with_every_reason() -> None:
