@@ -102,12 +102,10 @@ def _with_urdf(told: dict[str, Any], robot: dict[str, Any], path: Path) -> dict[
         if not os.path.isfile(file.parent / mesh.rpartition("://")[2]):  # unlike Path.is_file of an over-long name, too
             text = f"mesh {mesh!r} is not there; armctl draws links by itself"
             raise ConfigError(str(file), f"link {link}", text, "put it there, or remove the <mesh>")
-    joints = told.get("joints")
-    if isinstance(joints, list):
-        told["joints"] = [*map(dict, joints)] if all(isinstance(joint, dict) for joint in joints) else joints
-        for index, (name, limits) in enumerate(zip(found.joint_names, found.limits_deg, strict=True)):
-            if index >= len(joints) or not isinstance(joint := told["joints"][index], dict):
-                break
+    if isinstance(joints := told.get("joints"), list) and all(isinstance(joint, dict) for joint in joints):
+        told["joints"] = [*map(dict, joints)]
+        of_urdf = zip(told["joints"], found.joint_names, found.limits_deg, strict=False)
+        for index, (joint, name, limits) in enumerate(of_urdf):
             if joint.get("name") != name and joint.get("name") in found.joint_names:
                 text = f"{joint['name']} stands in place {index + 1}, where the URDF has {name}"
                 raise ConfigError(str(path), f"joints.{index}.name", text, "give joints in the URDF's order")

@@ -22,6 +22,7 @@ Metres = Annotated[float, Field(allow_inf_nan=False), AfterValidator(_metres)]
 # No sensor is off by more, and no bracket bends more.
 Small = Annotated[float, Field(ge=-10.0, le=10.0, allow_inf_nan=False)]
 NO_WAVES = (0.0, 0.0, 0.0, 0.0)
+NO_OFFSET = (0.0, 0.0, 0.0)
 
 
 class ChainRow(Frozen):
@@ -57,6 +58,8 @@ class ChainTable(Frozen):
     tool_m: tuple[Metres, Metres, Metres] = Field((0.0, 0.0, 0.0), strict=False)
     # Its rotation there: roll about x, pitch about y, yaw about z.
     tool_rpy_deg: tuple[Degrees, Degrees, Degrees] = Field((0.0, 0.0, 0.0), strict=False)
+    # Where the base column stands: the arm may hang, or stand beside the origin of the base frame.
+    base_m: tuple[Metres, Metres, Metres] = Field(NO_OFFSET, strict=False, exclude_if=NO_OFFSET.__eq__)
     # What the weight at the tool bends each joint by, as `bend_deg_m` of a row.
     tool_bend_deg_m: Small = Field(0.0, exclude_if=(0.0).__eq__)
     # The URDF that the table was made of; the table counts.

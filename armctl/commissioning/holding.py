@@ -235,7 +235,7 @@ def fit(arm: ArmConfig, touches: Sequence[Touch]) -> Held:
 def table_of(chain: SerialChain) -> dict[str, Any]:
     """A chain as the `robot` of an arm's file has it."""
     rows = [{key: np.round(value, 7).tolist() for key, value in table_row(row).items()} for row in chain.rows]
-    table: dict[str, Any] = {"convention": chain.convention, "dh": rows}
+    table: dict[str, Any] = {"convention": chain.convention, "dh": rows, "base_m": list(chain.base_m)}
     if chain.has_tool:
         *_, last, tool = link_frames(chain, np.zeros(chain.n))
         T = np.linalg.inv(last) @ tool

@@ -68,6 +68,8 @@ class SerialChain:
     tool_m: float = 0.0
     # Where the tool frame lies if it is anywhere else: a fixed modified row after the last one.
     tool: DHRow = DHRow()
+    # Where the base column stands in the base frame [m].
+    base_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @cached_property
     def has_waves(self) -> bool:

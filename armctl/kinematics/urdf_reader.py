@@ -3,7 +3,9 @@
 Rules.
 1. Only what lies between root and tool counts; fingers and cameras beside it may be anything.
 2. A joint of the chain turns: `revolute` or `continuous`. Fixed ones are taken into the next row.
-3. A frame of the table stands where the URDF has the joint, and its z is the joint's axis.
+3. A frame of the table stands where the URDF has the joint, and its z is the joint's axis. The base frame is the root
+   link's, whichever way the arm stands or hangs; the base column begins at the link that carries the first joint that
+   turns.
 4. The text is data: no entities, nothing is fetched or run. Masses and shapes are not read.
 """
 
@@ -73,7 +75,9 @@ class _Reader:
         names, limits = [], []
         # From the frame of the last row to the joint that comes next.
         G = np.eye(4)
+        base_m = G[:3, 3]
         for joint in self._path(tool):
+            base_m = base_m if rows else G[:3, 3]
             G = G @ self._origin(joint)
             if joint.get("type") == "fixed":
                 continue
@@ -90,6 +94,7 @@ class _Reader:
             "convention": "modified",
             "dh": [table_row(row) for row in rows],
             "tool_m": G[:3, 3].round(12).tolist(),
+            "base_m": base_m.round(12).tolist(),
             "tool_rpy_deg": [math.degrees(angle) for angle in rpy_from_matrix(G[:3, :3])],
         }
         shapes = ((link, mesh) for link in self._root.findall("link") for mesh in link.iter("mesh"))

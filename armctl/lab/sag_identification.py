@@ -39,20 +39,21 @@ def random_line(rig: Rig, rng: np.random.Generator, *, stretch: float = STRETCH)
     axes, tool = joint_axes(chain, np.zeros((1, chain.n)))
     places = np.array([place[:, 0] for place in (*(place for _, place in axes), tool)])
     stretched = float(np.linalg.norm(np.diff(places[1:], axis=0), axis=1).sum())
-    shoulder = np.array([*places[0, :2], places[1, 2]])
+    x, y, z = shoulder = np.array([*places[0, :2], places[1, 2]])
     # A smaller arm gets smaller lines.
     size = min(1.0, stretched / LARGE_M)
-    highest = (0.34 * size, 0.3 * size, shoulder[2] + 0.25 * size)
+    lowest = (x - 0.1 * size, y - 0.3 * size, arm.floor_m + 0.03)
+    highest = (x + 0.34 * size, y + 0.3 * size, z + 0.25 * size)
     for _ in range(MOST_DRAWN):
         direction = rng.standard_normal(3)
         half = size * rng.uniform(0.2, 0.3) / 2.0 * direction / np.linalg.norm(direction)
-        middle = rng.uniform((-0.1 * size, -0.3 * size, arm.floor_m + 0.03), highest)
+        middle = rng.uniform(lowest, highest)
         points = middle + np.linspace(-1.0, 1.0, 21)[:, None] * half
         if (
-            np.linalg.norm(points - shoulder, axis=1).max() < stretch * stretched
-            and np.hypot(points[:, 0], points[:, 1]).min() > 0.10 * size
+            np.linalg.norm(out := points - shoulder, axis=1).max() < stretch * stretched
+            and np.hypot(out[:, 0], out[:, 1]).min() > 0.10 * size
             and points[:, 2].min() > arm.floor_m + 0.03
-            and np.abs(np.arctan2(points[:, 1], points[:, 0])).max() < 2.0
+            and np.abs(np.arctan2(out[:, 1], out[:, 0])).max() < 2.0
         ):
             return middle - half, middle + half
     raise RequestRefused("LINE", f"no line fits the {stretched:.3f} m that {arm.arm_id} reaches from its shoulder")

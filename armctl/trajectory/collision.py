@@ -2,14 +2,15 @@
 
 Rules.
 1. A link is the straight segment between the origins of consecutive frames, thick all round by one radius; link 1 is
-   the base column. The radius covers an AX-12A (32 x 50 x 38 mm) with its brackets along the longest side.
+   the base column, which begins where it stands or hangs (`base_m`). The radius covers an AX-12A (32 x 50 x 38 mm) with
+   its brackets along the longest side.
 2. Neighbours share a joint and touch in every pose: the joint's limits bound their angle. Two links whose links
    between, even stretched, do not hold them two radii apart are not judged either. All other pairs are judged.
-3. The base column stands on the floor; what comes down is beyond the shoulder. There a link is as thick as its radius
-   at its joint and tapers to the tool point, which is a point, because a tool has to touch things.
+3. The base column stands on the floor, or hangs far from it; what comes down is beyond the shoulder. There a link is as
+   thick as its radius at its joint and tapers to the tool point, which is a point, because a tool has to touch things.
 4. A capsule is fatter than the arm: an arm that stands where capsules overlap must be allowed to leave.
 
-Nothing here knows cables, grippers, or what else stands on the table.
+Nothing here knows cables, grippers, what else stands on the table, or what an arm hangs from.
 """
 
 from itertools import combinations
@@ -27,7 +28,9 @@ def link_points(chain: SerialChain, q: FloatArray) -> FloatArray:
     Args:
         q: Joint positions [rad], shape (..., n).
     """
-    return link_frames(chain, q)[..., :3, 3]
+    points = link_frames(chain, q)[..., :3, 3]
+    points[..., 0, :] = chain.base_m
+    return points
 
 
 def judged_pairs(points: FloatArray, radius_m: float) -> NDArray[np.intp]:

@@ -54,11 +54,14 @@ def test_the_table_of_an_arm_is_its_chain(name: str) -> None:
     waves, bends = 0.01 * rng.standard_normal((chain.n, 4)), 0.01 * rng.standard_normal(chain.n)
     soft = zip(chain.rows, waves.tolist(), bends.tolist(), strict=True)
     chain = replace(chain, rows=tuple(replace(row, waves=tuple(four), bend=bend) for row, four, bend in soft))
-    chain = replace(chain, tool=replace(chain.tool, bend=0.02 * (chain.convention == "modified")))
+    chain = replace(
+        chain, tool=replace(chain.tool, bend=0.02 * (chain.convention == "modified")), base_m=(0.1, 0.0, 0.5)
+    )
     again = robots.of(ArmConfig.model_validate(arm.model_dump(mode="json", exclude={"lengths_m"}) | {
         "robot": holding.table_of(chain)})).chain  # fmt: skip
     q = np.random.default_rng(0).uniform(-2.0, 2.0, (50, chain.n))
     np.testing.assert_allclose(forward_kinematics(again, q), forward_kinematics(chain, q), atol=1e-6)
+    assert again.base_m == chain.base_m
 
 
 @pytest.mark.parametrize("name", ARMS)

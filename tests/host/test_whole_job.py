@@ -24,6 +24,7 @@ from armctl.trajectory.straightness import errors_mm
 from armctl.trajectory.target import MoveRequest
 from tests.host.simulated import SimulatedBench, on_arm
 from tests.host.test_following import by_hand, due_m, followed
+from tests.mounted import mounted
 
 ARMS = ("crane-plus-v2", "crustcrawler", "phantomx-pincher", "phantomx-reactor", "xiang-6dof")
 # Arms whose zero offsets, which no encoder shows, are neither the largest nor the smallest.
@@ -76,6 +77,34 @@ async def test_an_arm_goes_where_it_is_sent_grips_lets_go_and_parks(name: str) -
             await bench.served(move(bench.host, bench.anna, MoveRequest(point_m=point)))
             assert off(point) < 3.0
         await gripped_and_let_go(bench, between(name, 0.3))
+        assert await bench.served(bench.host.command(bench.anna, "park")) == {"state": "off"}
+        assert bench.true_deg() == pytest.approx([joint.rest_deg for joint in bench.arm.joints], abs=FEW_TICKS_DEG)
+        assert Mode.FAULTED not in bench.modes
+
+
+@pytest.mark.parametrize(("name", "A", "B"), [
+    ("hanging", (0.15, -0.07, 0.25), (0.15, 0.07, 0.25)),
+    ("beside", (0.422, -0.354, 0.15), (0.506, -0.242, 0.15)),
+])  # fmt: skip
+async def test_an_arm_that_hangs_or_stands_elsewhere_does_the_whole_job(
+    name: str, A: Point, B: Point, tmp_path: Path
+) -> None:
+    async with on_arm(mounted(tmp_path, name), SEED) as bench:
+        takes = [(await by_hand(bench, seed, (A, B)))[0] for seed in range(2)]
+        await bench.served(bench.host.command(bench.anna, "park"))
+        await bench.served(bench.host.command(bench.anna, "torque_on"))
+        asked = OptimizeRequest(from_m=A, to_m=B, duration_s=5.0, via=(2,), seed=SEED)
+        plans = optimize([np.array(one.positions_rad) for one in takes], bench.arm, bench.robot, asked).plans
+        refined = await bench.served(refine(bench.host, bench.anna, plans[0], 3, tmp_path))
+        kept = plan_from_text(Path(refined["plan"]).read_text(encoding="utf-8"), refined["plan"])
+        _, true_m = await followed(bench, run(bench.host, bench.anna, kept))
+        mean_mm, max_mm = errors_mm(true_m, np.array(A), np.array(B))
+        assert (mean_mm < 2.5, max_mm < 5.0) == (True, True), (mean_mm, max_mm)
+        for point in (A, B):
+            await bench.served(move(bench.host, bench.anna, MoveRequest(point_m=point)))
+            assert bench.off_mm(point) < 3.0
+        await bench.served(reach(bench.host, bench.anna, ReachRequest(point_m=A, off_m=0.02)))
+        assert bench.off_mm(A) < 4.0
         assert await bench.served(bench.host.command(bench.anna, "park")) == {"state": "off"}
         assert bench.true_deg() == pytest.approx([joint.rest_deg for joint in bench.arm.joints], abs=FEW_TICKS_DEG)
         assert Mode.FAULTED not in bench.modes

@@ -10,7 +10,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from armctl.commissioning.arm_file import whole_text
+from armctl.commissioning.arm_file import judged, whole_text
 from armctl.config import ArmConfig
 from armctl.errors import ConfigError
 from armctl.files import load_arm
@@ -20,7 +20,10 @@ from armctl.kinematics.robots.table import row_of
 from armctl.kinematics.structure import closed_form
 from armctl.kinematics.transform import FloatArray, matrix_from_rpy, pose_from_xyz_rpy
 from armctl.kinematics.urdf import urdf
+from armctl.trajectory.collision import link_points
+from armctl.trajectory.preflight import DrivenArm, preflight_motion
 from tests.kinematics.conftest import assert_at, rngs, turned
+from tests.mounted import MOUNTED, mounted, mounted_urdf
 
 pinocchio = pytest.importorskip("pinocchio")
 BAD: dict[str, Any] = yaml.safe_load(Path(__file__).with_name("bad_arms.yaml").read_text(encoding="utf-8"))
@@ -100,6 +103,26 @@ def test_a_shipped_arm_is_where_pinocchio_has_its_urdf(name: str) -> None:
     }[name]
     zero = forward_kinematics(robot.chain, np.zeros(robot.chain.n))
     np.testing.assert_allclose(zero, pose_from_xyz_rpy(place[0], 0.0, place[1]), atol=1e-4)
+
+
+@pytest.mark.parametrize("name", MOUNTED)
+def test_an_arm_that_hangs_or_stands_elsewhere_is_where_pinocchio_has_its_urdf(name: str, tmp_path: Path) -> None:
+    """Its base frame is the root link's. Its base column is judged where it is, not from the root link to the arm."""
+    path = mounted(tmp_path, name)
+    arm = load_arm(path)
+    robot, text = robots.of(arm), mounted_urdf(name)
+    low, high = robot.limits_rad.T
+    q = np.random.default_rng(1).uniform(low, high, (10_000, robot.chain.n))
+    np.testing.assert_allclose(forward_kinematics(robot.chain, q), pinocchio_tool(text, q, "tool"), atol=1e-9)
+    links = ("base", "column", "upper", "fore", "wrist_link", "tool")
+    ends = [pinocchio_tool(text, q[:1], link)[0, :3, 3] for link in links]
+    np.testing.assert_allclose(link_points(robot.chain, q[0]), ends, atol=1e-9)
+    assert judged(path).ok
+    # Stretched straight away from what it is mounted on, and along the root's axes.
+    straight = forward_kinematics(robot.chain, np.zeros(4))[:3, 3]
+    there = (0.0, 0.0, 0.5 - 0.402) if name == "hanging" else (0.6, -0.4, 0.02 + 0.402)
+    np.testing.assert_allclose(straight, there, atol=1e-12)
+    assert preflight_motion(np.zeros((2, 4)), DrivenArm(arm, robot, 0.1)) == ()
 
 
 def moved(chain: SerialChain, rng: np.random.Generator) -> SerialChain:

@@ -36,7 +36,9 @@ def robot_of(table: ChainTable, name: str, ranges_deg: tuple[tuple[float, float]
             a, b, d = (lengths.get(f"{key}{i}", 0.0) for key in "abd")
             rows.append(DHRow(a, alpha, d, theta, b, beta, tuple(waves), bend))
         p = np.array([lengths.get(f"tool_{axis}", 0.0) for axis in "xyz"])
-        return SerialChain(tuple(rows), table.convention, tool=replace(row_of(R, p), bend=tool_bend))
+        return SerialChain(
+            tuple(rows), table.convention, tool=replace(row_of(R, p), bend=tool_bend), base_m=table.base_m
+        )
 
     return Robot(name, table.urdf or "a table in the arm's file", lengths_m, made, ranges_deg)
 
