@@ -20,7 +20,7 @@ from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.transform import FloatArray
 from armctl.messages import LagModel
 from armctl.trajectory import lag, learning
-from armctl.trajectory.learning import Seen, Stand
+from armctl.trajectory.learning import Seen
 
 logger = logging.getLogger(__name__)
 
@@ -31,8 +31,6 @@ class Learner:
     def __init__(self, config: Config, arm: ArmConfig, robot: Robot, period_s: float) -> None:
         self._config, self.arm, self.robot, self.period_s = config, arm, robot, period_s
         self._history: sag_file.History | None = None
-        # How the last motion left the joints.
-        self._stand: Stand | None = None
 
     def load(self) -> LagModel | None:
         """The arm's own model, as far as there is one by now.
@@ -53,7 +51,6 @@ class Learner:
         return ""
 
     def _taught(self, done: Sequence[Done]) -> str:
-        before, self._stand = self._stand, None
         sums: lag.Summary | None = None
         for leg in done:
             plain = not (self.arm.correction and leg.trajectory.corrected)
@@ -61,9 +58,8 @@ class Learner:
                 return ""
             if (seen := self._seen(leg.watch)) is None:
                 continue
-            more, before = learning.sums_of(self.robot.chain, seen, before, self.period_s)
+            more = learning.sums_of(self.robot.chain, seen, self.period_s)
             sums = more if sums is None else sums + more
-        self._stand = before
         return "" if sums is None else self._learnt(sums)
 
     def _learnt(self, sums: lag.Summary) -> str:

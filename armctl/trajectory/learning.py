@@ -3,7 +3,8 @@
 Rules.
 1. The sums (`lag.Summary`) of each motion that ended well are kept, of the last `KEPT`. Same motions, same model.
 2. A sample is goal less reading, both at the instant of the reading. It counts once it is known on which side the
-   joint's friction pushes: the joint has gone a way, or stands where the motion before has left it.
+   joint's friction pushes, that is, once the joint has gone a way in this motion: what holds one that stands is
+   anything up to its friction.
 3. A joint's coefficients, fitted to all but the newest motions, have to predict these better than those in use do.
    Then the fit to all of them takes their place, each joint by itself.
 4. A motion that leaves far more than the model is known to leave tells of a change: a heavier tool, more friction,
@@ -11,7 +12,6 @@ Rules.
    stays until rule 3 finds a better one; was the next motion as foreseen, the strange one is forgotten.
 """
 
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -58,26 +58,12 @@ class Seen(NamedTuple):
     fresh: NDArray[np.bool_]
 
 
-class Stand(NamedTuple):
-    """Where joints stand [rad], and on which side their friction pushes, as far as that is known."""
-
-    at_rad: tuple[float, ...]
-    side: tuple[float, ...]
-
-
-def sums_of(chain: SerialChain, seen: Seen, before: Stand | None, period_s: float) -> tuple[Summary, Stand]:
-    """What a motion tells while it lasts, and how it leaves the joints; goals at rest change their side, and no more.
-
-    Args:
-        before: How the motion before left them.
-    """
+def sums_of(chain: SerialChain, seen: Seen, period_s: float) -> Summary:
+    """What a motion tells while it lasts."""
     n, wanted, due_s = chain.n, seen.wanted_rad, seen.due_s
-    stood = before is not None and float(np.abs(wanted[0] - before.at_rad).max()) < TICK_RAD
-    h = lag.sides(wanted, before.side if before is not None and stood else (0.0,) * n)
     going = np.flatnonzero(np.diff(wanted, axis=0).any(axis=1))
     end = int(going[-1]) + 1 if len(going) else 0
     X = lag.regressors(chain, wanted, np.zeros(n), period_s)
-    X[:, :, n] = h.T
     X[:, :, n + 1] = np.gradient(wanted, due_s, axis=0).T
     # Goals and regressors are those of the instant at which each joint was read.
     y, at = np.empty_like(wanted), np.empty_like(X)
@@ -85,11 +71,7 @@ def sums_of(chain: SerialChain, seen: Seen, before: Stand | None, period_s: floa
         then = columns_at(seen.read_s[:, i], due_s, np.column_stack([seen.goals_rad[:, i], X[i]]))
         y[:, i], at[i] = then[:, 0] - seen.positions_rad[:, i], then[:, 1:]
     within = (seen.read_s >= due_s[0]) & (seen.read_s <= due_s[end])
-    known = seen.fresh & within & (np.abs(at[:, :, n]).T >= KNOWN_SIDE)
-    side = h[-1].tolist()
-    for changes in np.diff(seen.goals_rad[end:], axis=0).tolist():
-        side = [old if change == 0.0 else math.copysign(1.0, change) for old, change in zip(side, changes, strict=True)]
-    return lag.summary(y, at, known), Stand(tuple(wanted[-1].tolist()), tuple(side))
+    return lag.summary(y, at, seen.fresh & within & (np.abs(at[:, :, n]).T >= KNOWN_SIDE))
 
 
 class Experience(NamedTuple):

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from armctl.dynamixel.ax12a import TICK_RAD
 from armctl.messages import LagModel
-from armctl.trajectory.lag import nominal, predict, regressors, sides
+from armctl.trajectory.lag import nominal, predict, regressors
 from armctl.trajectory.learning import (
     FEWEST,
     KEPT,
@@ -17,7 +17,6 @@ from armctl.trajectory.learning import (
     Experience,
     Lesson,
     Seen,
-    Stand,
     learn,
     sums_of,
 )
@@ -53,7 +52,7 @@ def taught(truth: LagModel, rng: np.random.Generator, count: int, begun: Lesson 
     lessons = [begun or Lesson(Experience(), NOMINAL)]
     for _ in range(count):
         present = next(lesson.model for lesson in reversed(lessons) if lesson.model is not None)
-        sums, _ = sums_of(CHAIN, a_motion(truth, rng), None, PERIOD_S)
+        sums = sums_of(CHAIN, a_motion(truth, rng), PERIOD_S)
         lessons.append(learn(ARM, CHAIN, lessons[-1].experience, present, sums))
     return lessons[1:]
 
@@ -128,7 +127,7 @@ def test_one_strange_motion_leaves_nothing_behind() -> None:
     before = taught(truth, rng, 12)
     known, present = before[-1].experience, in_use(before)
     pushed = replace(truth, rows=tuple(tuple(3.0 * g for g in row) for row in truth.rows))
-    odd, ordinary = (sums_of(CHAIN, a_motion(arm, rng), None, PERIOD_S)[0] for arm in (pushed, truth))
+    odd, ordinary = (sums_of(CHAIN, a_motion(arm, rng), PERIOD_S) for arm in (pushed, truth))
     strange = learn(ARM, CHAIN, known, present, odd)
     assert strange.change
     assert strange.model is None
@@ -143,35 +142,22 @@ def test_a_joint_whose_friction_may_push_either_way_tells_nothing() -> None:
     still = seen.wanted_rad.copy()
     still[:, 0] = still[0, 0]
     seen = seen._replace(wanted_rad=still)
-    sums, stand = sums_of(CHAIN, seen, None, PERIOD_S)
+    sums = sums_of(CHAIN, seen, PERIOD_S)
     assert sums.count[0] == 0
     assert (sums.count[1:] > SAMPLES).all()
-    assert stand.side[0] == 0.0
-    here = Stand(tuple(still[0].tolist()), (-1.0, 1.0, 1.0, 1.0, 1.0))
-    sums, stand = sums_of(CHAIN, seen, here, PERIOD_S)
-    assert sums.count[0] > SAMPLES
-    assert stand.side[0] == -1.0
-    elsewhere = here._replace(at_rad=tuple((still[0] + 0.1).tolist()))
-    assert sums_of(CHAIN, seen, elsewhere, PERIOD_S)[0].count[0] == 0
 
 
-def test_goals_at_rest_say_from_which_side_the_joint_came_and_teach_nothing() -> None:
+def test_goals_at_rest_teach_nothing() -> None:
     rng = np.random.default_rng(6)
     seen = a_motion(an_arm(rng), rng)
-    plain, stand = sums_of(CHAIN, seen, None, PERIOD_S)
-    assert [abs(side) > 0.9 for side in stand.side] == [True] * 5
     more = 10
     longer = {
         name: np.concatenate([values, np.repeat(values[-1:], more, axis=0)]) for name, values in seen._asdict().items()
     }
     longer["due_s"] = (1.0 + np.arange(TICKS + more)) * PERIOD_S
     longer["read_s"] = np.tile(longer["due_s"][:, None], (1, 5))
-    way = -np.sign(sides(seen.wanted_rad, [0.0] * 5)[-1, 2])
-    longer["goals_rad"][-3:, 2] += way * TICK_RAD
-    rested, after = sums_of(CHAIN, Seen(**longer), None, PERIOD_S)
-    assert after.side[2] == way == -np.sign(stand.side[2])
-    assert after.side[:2] == pytest.approx(stand.side[:2])
-    np.testing.assert_array_equal(rested.count, plain.count)
+    longer["goals_rad"][-3:, 2] += TICK_RAD
+    np.testing.assert_array_equal(sums_of(CHAIN, Seen(**longer), PERIOD_S).count, sums_of(CHAIN, seen, PERIOD_S).count)
 
 
 def test_a_servo_that_did_not_answer_tells_nothing() -> None:
@@ -179,6 +165,6 @@ def test_a_servo_that_did_not_answer_tells_nothing() -> None:
     seen = a_motion(an_arm(rng), rng)
     unheard = seen.fresh.copy()
     unheard[:, 3] = False
-    sums, _ = sums_of(CHAIN, seen._replace(fresh=unheard), None, PERIOD_S)
+    sums = sums_of(CHAIN, seen._replace(fresh=unheard), PERIOD_S)
     assert sums.count[3] == 0
     assert sums.count[2] > SAMPLES
