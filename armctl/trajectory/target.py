@@ -1,9 +1,9 @@
 """Where the joints have to be for the tool to be somewhere: the choice nearest to where they are.
 
-The search begins at the present pose, where the rotation counts or the nearest is wanted at all that inverse kinematics
-lists (of any point that takes too long), and at `STARTS` poses drawn within the limits, always the same ones. The
-solutions are sorted by how far their farthest joint travels. An arm with a joint to spare has families of them; the
-nearest is found by narrowing the joints' ranges about the present pose.
+The search begins at the present pose, where the rotation counts at all that inverse kinematics lists (of a point that
+takes too long), and at `STARTS` poses drawn within the limits, always the same ones. The solutions are sorted by how
+far their farthest joint travels. An arm with a joint to spare has families of them; the nearest is found by narrowing
+the joints' ranges about the present pose.
 """
 
 import math
@@ -66,7 +66,7 @@ def postures_at(target: Target, q_now: Sequence[float], on: Driven, *, nearest: 
     chain = on.robot.chain
     limits = np.array([joint.limits_rad for joint in on.arm.joints[: chain.n]])
     here = np.array(q_now[: chain.n])
-    known = solve(on.robot, target, present=here, limits=limits).solutions if target.turned or nearest else ()
+    known = solve(on.robot, target, present=here, limits=limits).solutions if target.turned else ()
     drawn = np.random.default_rng(0).uniform(limits[:, 0], limits[:, 1], (STARTS, chain.n))
     starts = np.vstack([here, *(one.q_rad for one in known), *drawn])
 
