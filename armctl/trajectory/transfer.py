@@ -7,13 +7,13 @@ Rules.
    with the velocity and acceleration that the Jacobian gives them there.
 2. Across, all joints go by one quintic from rest to rest.
 3. The paper prints curves and no motion: stations, height and times are whatever is asked for, link lengths the arm's.
-4. Of the poses over the first station the one is taken from which the joints travel least to the other station; every
-   further pose is the nearest to the one before.
+4. Of the poses over both stations those two are taken between which the joints travel least; on its way down the paw
+   keeps its rotation where the arm can, and no joint goes far between two places.
 """
 
 import math
 from collections.abc import Sequence
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import NamedTuple
 
 import numpy as np
@@ -96,16 +96,21 @@ def motion(cycle: TransferRequest, arm: ArmConfig, robot: Robot) -> Motion:
     joints = arm.joints[: robot.chain.n]
     rest = np.array([joint.rest_rad for joint in joints])
     limits = np.array([joint.limits_rad for joint in joints]) + np.array([ROOM_RAD, -ROOM_RAD])
-    lifts, refused = list[list[list[Quintic]]](), list[RequestRefused]()
-    for start in _paw_down(np.add(cycle.pick_m, (0.0, 0.0, cycle.height_m)), rest, limits, robot):
-        try:
-            lifts.append([_lift(np.array(at), start, cycle, limits, robot) for at in (cycle.pick_m, cycle.place_m)])
-        except RequestRefused as reason:
-            refused.append(reason)
-    if not lifts:
-        raise refused[0]
+    both = list[list[list[Quintic]]]()
+    for station in (cycle.pick_m, cycle.place_m):
+        lifts, refused = list[list[Quintic]](), list[RequestRefused]()
+        for over in _paw_down(np.add(station, (0.0, 0.0, cycle.height_m)), rest, limits, robot):
+            try:
+                lifts.append(_lift(np.array(station), over, cycle, limits, robot))
+            except RequestRefused as reason:
+                refused.append(reason)
+        if not lifts:
+            raise refused[0]
+        both.append(lifts)
     # A piece begins at the first of its coefficients.
-    pick, place = min(lifts, key=lambda both: np.ptp([lift[0].coefficients[0] for lift in both], axis=0).max().round(9))
+    pick, place = min(
+        product(*both), key=lambda pair: np.ptp([lift[0].coefficients[0] for lift in pair], axis=0).max().round(9)
+    )
     over_pick, over_place = (lift[0].coefficients[0] for lift in (pick, place))
     there, back = (quintic(*ends, cycle.carry_s) for ends in ((over_pick, over_place), (over_place, over_pick)))
     return Motion((*_down_and_up(pick, cycle), there, *_down_and_up(place, cycle), back) * cycle.cycles)
@@ -147,21 +152,20 @@ def _reversed(piece: Quintic) -> Quintic:
 def _lift(
     station_m: FloatArray, near: FloatArray, cycle: TransferRequest, limits: FloatArray, robot: Robot
 ) -> list[Quintic]:
-    """From over a station, as near to `near` as there is, straight down onto it."""
+    """From a pose over a station straight down onto it."""
     down = quintic(station_m + np.array([0.0, 0.0, cycle.height_m]), station_m, cycle.lift_s)
     ends: list[tuple[FloatArray, FloatArray, FloatArray]] = []
     for place, speed, change in zip(*down.sample(np.linspace(0.0, cycle.lift_s, LIFT_PIECES + 1)), strict=True):
         T = forward_kinematics(robot.chain, near)
-        T[:3, 3] = place
-        below = pose_target(T)  # on its way down the paw does not turn
-        q = solution.refine(robot, below, near[None], limits)
-        on_it = ends and solution.errors_of(robot, below, q)[2][0]
-        there = q[0] if on_it else _paw_down(place, near, limits, robot)[0]
-        if ends and np.abs(there - near).max() > JUMP_RAD:
-            x, y, z = place.tolist()
+        T[:3, 3] = x, y, z = place.tolist()
+        for target in (pose_target(T), aimed((x, y, z), DOWN)):
+            q = solution.refine(robot, target, near[None], limits)
+            if solution.errors_of(robot, target, q)[2][0] and np.abs(q[0] - near).max() <= JUMP_RAD:
+                break
+        else:
             why = f"on its way down the arm would have to change its pose at ({x:.3f}, {y:.3f}, {z:.3f}) m"
             raise RequestRefused("UNREACHABLE", f"{why}: move the station, or lower the height")
-        near = there
+        near = q[0]
         J, still = jacobian(robot.chain, near), np.zeros(3)  # it does not turn
         q_rate = joint_rates(J, np.append(speed, still))
         change = np.append(change, still) - jacobian_rate(robot.chain, near, q_rate) @ q_rate

@@ -32,6 +32,8 @@ NUMBERS = frozenset(
         jsonrpc.ARMCTL_ERROR,
     }
 )
+# So near to each other that the arm is soon done.
+STATIONS = {"pick_m": [0.18, -0.01, 0.1], "place_m": [0.18, 0.01, 0.1]}
 
 
 def fuzzed_arm() -> ArmConfig:
@@ -81,7 +83,7 @@ def requests_to(arm: ArmConfig) -> list[tuple[str, dict[str, Any]]]:
         ("move", {"pose": [0.18, 0.0, 0.15, 0.0, 1.5, 0.0]}),
         ("reach", {"point_m": [0.18, 0.0, 0.12], "gripper": "stay", "ik": "closed", "seed": 1, "along": "above"}),
         ("grip", {"grip": "close"}),
-        ("transfer", {"pick_m": [0.18, -0.1, 0.1], "place_m": [0.18, 0.1, 0.1], "lift_s": 1.0, "cycles": 2}),
+        ("transfer", {**STATIONS, "height_m": 0.01, "lift_s": 0.4, "carry_s": 0.4, "dwell_s": 0.0}),
         ("rate", {"rate": 0.5}),
         ("jog", {"joints_rad_s": [0.0] * len(rest), "begin": True}),
         ("jog", {"tool_m_s": [0.0, 0.0, 0.01], "begin": False}),
