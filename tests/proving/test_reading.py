@@ -21,10 +21,12 @@ from proving.soak import drawn_by
 TOOLS = Path(reading.__file__).parent
 JUDGING = (
     "invariants",
+    "goals",
     "torque",
     "standing",
     "shafts",
     "duties",
+    "excuses",
     "evidence",
     "reading",
     "motions",
