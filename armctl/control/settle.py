@@ -41,7 +41,7 @@ GAIN_M, GAIN_RISE = 0.0003, 1.3
 STOOD_S = 2.0
 # What turning a joint back costs, and what share of twice its friction it takes.
 REVERSAL_M, REVERSAL_SHARE = 0.0003, 0.85
-# From such a share of it on, a change shows what the whole takes.
+# A change that overcomes this share of a reversal, or more, shows what a whole one takes.
 WHOLE = 0.9
 # One that has turned by less than this has not turned.
 TURNED_RAD = 0.5 * TICK_RAD

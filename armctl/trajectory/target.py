@@ -59,7 +59,7 @@ def postures_at(target: Target, q_now: Sequence[float], on: Driven, *, nearest: 
 
     Args:
         q_now: Present joint positions [rad], shape (joints,).
-        nearest: Whether the nearest member of a family is looked for, to `SAME_RAD`; without it any member is taken.
+        nearest: Whether of a family the nearest member that a search finds is taken; without it any member is.
     Raises:
         UnreachableTarget: there are none; carries the nearest distance found.
     """
