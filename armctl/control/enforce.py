@@ -12,6 +12,7 @@ Rules.
 4. A servo that was led off by more than `LED_OFF_TICKS` is not brought back: its goal becomes where it is. Two readings
    in a row have to say so, on a line that is well, with no reply damaged or missing beside them: one may be another
    servo's. A line that was too noisy is well again after `QUIET_S` without a damaged reply. Until then nothing is sent.
+   One that was limp since it last showed its goal, and is woken to another one, is not brought back either.
 5. While the port is gone anybody may move the arm. Then armctl has no say in it any more, until it takes it over again.
 """
 
@@ -102,7 +103,9 @@ def hold_goals(s: Tick) -> None:
         state.yielded = True
         s.latch_servo("OVERRULED", foreign[0], "another program goes on writing goals; the arm is left to it")
         return
-    led_off = [i for i in owed if s.is_led_off(i)]
+    limp = [i for i in range(len(s.wire)) if i in owed and i in state.limp or s.heard(i) and not holds(s, i)]
+    state.limp = (*limp, *[i for i in state.limp if not s.heard(i)])
+    led_off = [i for i in owed if s.is_led_off(i) or i in limp]
     well = s.fresh and ("BUS_NOISE" not in s.found or not any(state.noise[-s.ticks_in(QUIET_S) :]))
     unsure = set(led_off).difference(state.led_off if well else ())
     for i in set(led_off).difference(unsure):

@@ -269,6 +269,45 @@ def test_torque_that_appears_on_a_limp_arm_is_not_led_to_where_the_arm_once_was(
     assert not any(record.outputs.goal or record.outputs.writes for record in rig.records)
 
 
+@pytest.mark.parametrize("sinks", [-40, 0, 25])
+def test_a_servo_that_went_limp_by_itself_and_is_woken_stays_where_it_is(sinks: int) -> None:
+    arm = holding()
+    before = arm.get(0, ax12a.GOAL)
+    arm.put(0, ax12a.TORQUE_ENABLE, 0)
+    arm.put(0, ax12a.PRESENT_POSITION, before + sinks)
+    arm.run_ticks(5)
+    arm.put(0, ax12a.TORQUE_ENABLE, 1)
+    arm.put(0, ax12a.GOAL, before + sinks - 29)
+    arm.run_ticks(2)
+    assert "OTHER_WRITER" in arm.events
+    assert arm.get(0, ax12a.GOAL) == before + sinks
+
+
+def test_a_servo_that_seemed_limp_elsewhere_keeps_its_goal_when_it_shows_it_again() -> None:
+    # A second servo with its id may have answered in its place.
+    arm = holding()
+    before = arm.get(0, ax12a.GOAL)
+    arm.put(0, ax12a.TORQUE_ENABLE, 0)
+    arm.put(0, ax12a.PRESENT_POSITION, before - 29)
+    arm.run_ticks(5)
+    arm.put(0, ax12a.TORQUE_ENABLE, 1)
+    arm.put(0, ax12a.PRESENT_POSITION, before)
+    arm.run_ticks(3)
+    assert arm.get(0, ax12a.GOAL) == before
+
+
+def test_a_servo_that_went_limp_beyond_its_limit_and_is_woken_is_led_to_the_limit_and_no_farther() -> None:
+    arm = holding()
+    high = arm.arm.joints[0].limits_tick[1]
+    arm.put(0, ax12a.TORQUE_ENABLE, 0)
+    arm.put(0, ax12a.PRESENT_POSITION, high + 1)
+    arm.run_ticks(5)
+    arm.put(0, ax12a.TORQUE_ENABLE, 1)
+    arm.put(0, ax12a.GOAL, high - 55)
+    arm.run_ticks(2)
+    assert arm.get(0, ax12a.GOAL) == high
+
+
 def test_a_goal_that_is_withheld_on_a_noisy_line_makes_the_earlier_one_nobody_elses() -> None:
     arm = holding()
     goal = arm.get(0, ax12a.GOAL)
