@@ -103,7 +103,7 @@ def hold_goals(s: Tick) -> None:
         state.yielded = True
         s.latch_servo("OVERRULED", foreign[0], "another program goes on writing goals; the arm is left to it")
         return
-    limp = [i for i in range(len(s.wire)) if i in owed and i in state.limp or s.heard(i) and not holds(s, i)]
+    limp = [i for i in range(len(s.wire)) if (i in owed and i in state.limp) or (s.heard(i) and not holds(s, i))]
     state.limp = (*limp, *[i for i in state.limp if not s.heard(i)])
     led_off = [i for i in owed if s.is_led_off(i) or i in limp]
     well = s.fresh and ("BUS_NOISE" not in s.found or not any(state.noise[-s.ticks_in(QUIET_S) :]))

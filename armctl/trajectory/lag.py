@@ -25,6 +25,8 @@ from armctl.kinematics.transform import FloatArray
 from armctl.messages import LagModel
 
 TURN_RAD = 0.5 * TICK_RAD
+# From here on the side of a joint's friction is known.
+KNOWN_SIDE = 0.9
 # An AX-12A with its bracket, and a light tool: what an arm nobody has measured is taken to weigh.
 SERVO_KG, TOOL_KG = 0.075, 0.08
 FRICTION_NM = 0.12
@@ -149,16 +151,20 @@ class Summary:
         return np.asarray(np.sqrt(self.squares(rows) / np.maximum(self.count, 1.0)))
 
 
-def summary(lags: FloatArray, X: FloatArray, known: NDArray[np.bool_] | None = None) -> Summary:
+def summary(lags: FloatArray, X: FloatArray, heard: NDArray[np.bool_] | None = None) -> Summary:
     """The sums over one motion.
+
+    A sample counts where it is known on which side the joint's friction pushes, that is, once the joint has gone a way:
+    what holds one that stands is anything up to its friction.
 
     Args:
         lags: Goal less position [rad], shape (m, n).
         X: Its `regressors`, shape (n, m, n + 3).
-        known: Which samples count, shape (m, n); None: all.
+        heard: Which samples there are, shape (m, n); None: all.
     """
     y = lags.T
-    weight = np.ones(y.shape) if known is None else known.T.astype(float)
+    counts = np.abs(X[:, :, -3]) >= KNOWN_SIDE
+    weight = (counts if heard is None else counts & heard.T).astype(float)
     W = X * weight[..., None]
     XX, Xy = np.einsum("imk,iml->ikl", W, X), np.einsum("imk,im->ik", W, y)
     return Summary(XX, Xy, (weight * y * y).sum(axis=1), weight.sum(axis=1))

@@ -2,9 +2,8 @@
 
 Rules.
 1. The sums (`lag.Summary`) of each motion that ended well are kept, of the last `KEPT`. Same motions, same model.
-2. A sample is goal less reading, both at the instant of the reading. It counts once it is known on which side the
-   joint's friction pushes, that is, once the joint has gone a way in this motion: what holds one that stands is
-   anything up to its friction.
+2. A sample is goal less reading, both at the instant of the reading. It counts once the joint has gone a way in this
+   motion (see `lag.summary`).
 3. A joint's coefficients, fitted to all but the newest motions, have to predict these better than those in use do.
    Then the fit to all of them takes their place, each joint by itself.
 4. A motion that leaves far more than the model is known to leave tells of a change: a heavier tool, more friction,
@@ -39,8 +38,6 @@ CHANGED, CHANGED_TICK = 2.5, 1.0
 STRANGE = 2
 # Samples of a joint without which a motion tells nothing of it.
 SAMPLES = 15
-# From here on the side of a joint's friction is known.
-KNOWN_SIDE = 0.9
 
 
 class Seen(NamedTuple):
@@ -71,7 +68,7 @@ def sums_of(chain: SerialChain, seen: Seen, period_s: float) -> Summary:
         then = columns_at(seen.read_s[:, i], due_s, np.column_stack([seen.goals_rad[:, i], X[i]]))
         y[:, i], at[i] = then[:, 0] - seen.positions_rad[:, i], then[:, 1:]
     within = (seen.read_s >= due_s[0]) & (seen.read_s <= due_s[end])
-    return lag.summary(y, at, seen.fresh & within & (np.abs(at[:, :, n]).T >= KNOWN_SIDE))
+    return lag.summary(y, at, seen.fresh & within)
 
 
 class Experience(NamedTuple):
