@@ -45,6 +45,8 @@ class Scenario:
     settles: bool = False
     # How long to watch beyond the bound.
     watch_s: float = 1.0
+    # Whether a swing begins where something bears the arm, as it does at rest.
+    borne: bool = False
     # What happens instead of a simulator's fault.
     act: Act | None = None
 
@@ -54,7 +56,8 @@ class Scenario:
         often = "" if self.probability == 1.0 else f" {self.probability:.0%}"
         times = "" if self.count is None else f" x{self.count}"
         much = "" if self.value is None else f" {self.value:g}"
-        return f"{self.state}: {self.kind}{where}{often}{times}{much}"
+        begin = " from the rest pose" if self.borne else ""
+        return f"{self.state}{begin}: {self.kind}{where}{often}{times}{much}"
 
 
 # Heat latches once it has lasted. The way to rest is announced 3 s ahead, and takes some.
@@ -130,6 +133,7 @@ SCENARIOS: tuple[Scenario, ...] = (
     Scenario("moving", "lost", ("SERVO_SILENT",), SILENT, 1),
     Scenario("moving", "lost", ALL_SILENT, SILENT),
     Scenario("moving", "lost", (), SWING_S, probability=0.1),
+    Scenario("moving", "lost", (), SWING_S, 3, count=1, borne=True),
     Scenario("moving", "late", ("SERVO_SILENT",), SILENT + TICK_S, 1, value=20.0),
     Scenario("moving", "corrupted", (), SWING_S, probability=0.02),
     Scenario("moving", "corrupted", ONE_NOISE, SILENT, 1),
