@@ -197,12 +197,12 @@ class Host:
     async def command(self, client: Client, what: str) -> dict[str, Any]:
         """One of `COMMANDS`; returns when the control process has carried it out, or refused it.
 
-        Torque is asked for again when a reply was late just then. `park` goes slowly to rest, limp once there; a client
-        that leaves meanwhile stops the arm.
+        Torque that is on stays on, and is asked for again when a reply was late just then. `park` goes slowly to rest,
+        limp once there; a client that leaves meanwhile stops the arm.
         """
         asked_ns = self._clock.now_ns()
         with self.leases.commanding(client, what):
-            while True:
+            while not (what == "torque_on" and self.state()["state"] == Mode.HOLDING.value):
                 try:
                     await self.exchange.request(COMMANDS[what], PARK_S if what == "park" else ANSWER_S)
                     break

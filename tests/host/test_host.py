@@ -17,10 +17,17 @@ from tests.host.doubles import refused
 # -------------------------------------------------------------------------------------------- requests
 
 
-async def test_a_refusal_of_the_control_step_reaches_the_client_as_it_is(bench: Bench) -> None:
-    error = await bench.refused(bench.host.command(bench.anna, "torque_on"), "ILLEGAL_TRANSITION")
+async def test_a_refusal_of_the_control_step_reaches_the_client_as_it_is(limp: Bench) -> None:
+    error = await limp.refused(limp.host.command(limp.anna, "park"), "ILLEGAL_TRANSITION")
     assert isinstance(error, IllegalTransition)
-    assert "holding" in str(error)
+    assert "the arm is limp" in str(error)
+
+
+async def test_torque_that_is_on_is_no_error(bench: Bench) -> None:
+    asked = len(bench.arm.replies)
+    answer = await bench.served(asyncio.ensure_future(bench.host.command(bench.anna, "torque_on")))
+    assert answer == {"state": "holding"}
+    assert len(bench.arm.replies) == asked
 
 
 async def test_torque_comes_on_when_a_late_reply_has_come(limp: Bench) -> None:
