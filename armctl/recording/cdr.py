@@ -6,12 +6,11 @@ Rules.
 3. A sequence is a uint32 count, then its elements; an empty one is followed by no padding.
 4. A message is a dict with exactly the declared keys: a missing or misspelled one is an error, never a zero.
 
-Messages of a shape that came before go at one go (shapes.py), all others field by field.
+Messages of a shape that came before are decoded at one go (shapes.py), all others field by field.
 """
 
 import struct
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
@@ -26,9 +25,9 @@ from armctl.recording.shapes import Value as Value
 MAX_DEPTH = 16
 MAX_NESTED = 1000
 MAX_FIELDS = 10_000
-# Bounds on the shapes that are kept of a type: for encoding; for decoding sizes of messages, and shapes of each size;
-# and on the bytes of a message whose shape is looked for.
-MAX_ENCODED, MAX_SIZES, MAX_SHAPES, MAX_BYTES = 32, 64, 4, 2**14
+# Bounds on the shapes that are kept of a type: sizes of messages, and shapes of each size; and on the bytes of a
+# message whose shape is looked for.
+MAX_SIZES, MAX_SHAPES, MAX_BYTES = 64, 4, 2**14
 _MISFITS = (struct.error, TypeError, AttributeError, ValueError, LookupError)
 _STRING, _BYTES = "s", "B"
 _COUNT = struct.Struct("<I").unpack_from
@@ -42,8 +41,7 @@ class Codec:
     name: str
     _type: "_Type"
     _messages: Mapping[str, str] = field(repr=False, compare=False)
-    # Shapes that were met (None: one that is not worth it): in encoding, and in decoding by the size of messages.
-    _encoded: list[Shape | None] = field(default_factory=list, repr=False, compare=False)
+    # Shapes that were met in decoding, by the size of messages; None: one that is not worth it.
     _decoded: dict[int, list[Shape | None]] = field(default_factory=dict, repr=False, compare=False)
 
     def encode(self, value: Value) -> bytes:
@@ -52,17 +50,11 @@ class Codec:
         Raises:
             ValueError: a key is missing or unknown, or a value does not fit its field.
         """
-        with suppress(*_MISFITS):  # field by field it comes again, and tells of which field
-            for known in self._encoded:
-                if known is not None and (data := known.encode(value)) is not None:
-                    return data
         out = bytearray(HEADER)
         try:
             self._type.put(out, value)
         except _MISFITS as error:
             raise ValueError(f"{self.name}: {error}") from None
-        if len(self._encoded) < MAX_ENCODED and len(out) <= MAX_BYTES:
-            self._encoded.append(self.shape(value))
         return bytes(out)
 
     def shape(self, value: Value) -> Shape | None:

@@ -2,7 +2,7 @@
 
 Rules.
 1. All is pure: a tick record, the file's clock anchor, arm and robot give the messages, bit for bit.
-   Replay calls `output_messages` and `cycle_row` with outputs it computed itself, and compares bytes.
+   Replay calls `output_rows`, `event_messages` and `cycle_row` with outputs it computed itself, and compares bytes.
 2. Every message of a tick carries the instant of its sample, as log time, publish time and header stamp;
    its sequence number is the tick.
 3. Inputs come first, outputs after them, and `/armctl/cycle` is last: a tick whose cycle is missing was cut.
@@ -13,6 +13,7 @@ import struct
 import time
 import zlib
 from collections.abc import Callable, Hashable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from functools import partial
 from itertools import chain, repeat
@@ -32,9 +33,12 @@ from armctl.messages import Command, Event, JointState, JointTrajectory, Reply, 
 from armctl.recording.cdr import Codec, Value, codec
 from armctl.recording.notes import LEVELS, parse_note
 from armctl.recording.schemas import full_name
+from armctl.recording.shapes import Shape
 
 # A tick that begins later than this is an overrun.
 OVERRUN_NS = 50_000_000
+# Bound on the shapes that an encoder keeps.
+MAX_SHAPES = 64
 # Who wrote a line of /rosout: the control step (repeated by replay) or the recorder.
 CONTROL = "armctl.control"
 RECORDING = "armctl.recording"
@@ -131,6 +135,32 @@ class Row(NamedTuple):
     value: Callable[[], Value]
 
 
+class TickEncoder:
+    """Makes bytes of the messages of ticks: of rows, by their numbers alone where their shape came before."""
+
+    def __init__(self) -> None:
+        self._shapes: dict[Hashable, Shape | None] = {}
+
+    def encode(self, message: Row | Message) -> bytes:
+        """CDR bytes of a message.
+
+        Raises:
+            ValueError: a value does not fit its field.
+        """
+        codec = TOPICS[message[0]].codec
+        if not isinstance(message, Row):
+            return codec.encode(message[1])
+        key = message.topic, message.shape
+        if key not in self._shapes:
+            if len(self._shapes) >= MAX_SHAPES:
+                self._shapes.clear()
+            self._shapes[key] = codec.shape(message.value())
+        if (shape := self._shapes[key]) is not None:
+            with suppress(struct.error):  # field by field it comes again, and tells of which field
+                return shape.pack(message.numbers)
+        return codec.encode(message.value())
+
+
 def servos_row(record: TickRecord, anchor: Anchor, arm: ArmConfig) -> Row:
     """What every servo said."""
     readings, header = record.inputs.sample.servos, _header(_epoch_ns(record, anchor))
@@ -144,12 +174,6 @@ def servos_row(record: TickRecord, anchor: Anchor, arm: ArmConfig) -> Row:
 def command_messages(record: TickRecord) -> list[Message]:
     """What clients asked of this tick."""
     return _records(record, "command", record.inputs.commands)
-
-
-def output_messages(record: TickRecord, anchor: Anchor, arm: ArmConfig, robot: Robot) -> list[Message]:
-    """What the control step said in this tick: the part of the log a replay can compute again."""
-    rows = output_rows(record, anchor, arm, robot)
-    return [(row.topic, row.value()) for row in rows] + event_messages(record, anchor, arm)
 
 
 def output_rows(record: TickRecord, anchor: Anchor, arm: ArmConfig, robot: Robot) -> list[Row]:

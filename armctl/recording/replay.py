@@ -34,7 +34,7 @@ from armctl.kinematics.robots.robot import Robot
 from armctl.messages import Inputs, Outputs, Sample, ServoReading, TickRecord
 from armctl.recording import channels
 from armctl.recording.cdr import Value
-from armctl.recording.channels import TOPICS, Anchor
+from armctl.recording.channels import TOPICS, Anchor, Message, Row, TickEncoder
 from armctl.recording.log_file import LogFile, LogMessage, Progress
 from armctl.recording.provenance import other_program
 from armctl.recording.schemas import schema_text
@@ -172,6 +172,7 @@ class Rerun:
         # State after the last tick; None: not known.
         self.state: State | None = None
         self._log, self._setup, self._step = log, setup, step
+        self._encoder = TickEncoder()
         self._last_tick: int | None = None
         self._last_ns = 0
         self._tick = _Tick()
@@ -285,8 +286,8 @@ class Rerun:
     def _pairs(self, tick: _Tick, record: TickRecord, anchor: Anchor) -> Iterator[tuple[str, list[bytes], list[bytes]]]:
         """What the log holds of each topic in a tick, and what is computed."""
         arm, robot = self._setup.arm, self._setup.robot
-        messages, cycle = channels.output_messages(record, anchor, arm, robot), channels.cycle_row(record, anchor)
-        messages.append((cycle.topic, cycle.value()))
+        messages: list[Row | Message] = [*channels.output_rows(record, anchor, arm, robot)]
+        messages += [*channels.event_messages(record, anchor, arm), channels.cycle_row(record, anchor)]
         now = (record.inputs.sample.time_ns // DIAGNOSTICS_PERIOD_NS, record.outputs.mode, record.outputs.faults)
         due = self._diagnosed and self._diagnosed != now
         self._diagnosed = now
@@ -294,8 +295,8 @@ class Rerun:
             messages.append(channels.diagnostics(record, anchor, arm))
         for topic in _COMPARED:
             if topic not in self.found.not_compared:
-                encode = TOPICS[topic].codec.encode
-                yield topic, tick.logged.get(topic, []), [encode(value) for name, value in messages if name == topic]
+                computed = [self._encoder.encode(message) for message in messages if message[0] == topic]
+                yield topic, tick.logged.get(topic, []), computed
 
     def _inputs(self, servos: list[Value], commands: list[tuple[int, Any]], cycle: Value) -> Inputs:
         ids = tuple(servo["id"] for servo in servos)

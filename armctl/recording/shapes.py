@@ -1,12 +1,13 @@
 """Shapes of messages: those of one type with the same texts and counts differ in their numbers alone.
 
-Such messages are one `struct`, whose bytes between the numbers are known, and Python expressions that take the numbers
-out of a message and make a message of them. A codec (cdr.py) keeps the shapes that it meets: nearly all messages of a
-log have one that came before, and take a tenth of the time then.
+Such messages are one `struct`, whose bytes between the numbers are known, and Python expressions that put the numbers
+into bytes and make a message of them. A codec (cdr.py) keeps the shapes that it reads, and who encodes what comes every
+tick (channels.py) those of its rows: nearly all messages of a log have one that came before, and take a tenth of the
+time then.
 """
 
 import struct
-from collections.abc import Callable, Mapping, Sequence, Sized
+from collections.abc import Callable, Mapping, Sequence
 from operator import itemgetter
 from typing import Any, NamedTuple
 
@@ -19,10 +20,9 @@ MAX_PARTS, MAX_SAME = 256, 1.5
 
 
 class Shape(NamedTuple):
-    """Messages of one type with the same texts and counts. Those of another shape give None."""
+    """Messages of one type with the same texts and counts."""
 
-    # Of a value that does not fit its field: the errors of `struct`, or those of asking a dict that is none.
-    encode: Callable[[Value], bytes | None]
+    # None for a message of another shape.
     decode: Callable[[bytes], Value | None]
     # Bytes of a message's numbers in order, a uint8[] being one of them, of bytes; trusted to be of this shape.
     pack: Callable[[Sequence[Any]], bytes]
@@ -36,45 +36,39 @@ def shape(name: str, example: Value, messages: Mapping[str, str]) -> Shape | Non
         messages: Declarations of the types.
     """
     walk = _Walk(messages)
-    made = walk.message(name, "m", example)
+    made = walk.message(name, example)
     walk.end()
     packer = struct.Struct(walk.format)
     if len(walk.packed) > MAX_PARTS or packer.size <= walk.same_bytes * MAX_SAME:
         return None
     known = {"pack": packer.pack, "unpack": packer.unpack}
     fits = " and ".join([f"len(data) == {packer.size}", "(v := unpack(data))", *walk.expected])
-    functions = (
-        f"lambda m: pack({', '.join(walk.packed)}) if {' and '.join(walk.holds)} else None",
-        f"lambda data: {made} if {fits} else None",
-        f"lambda s: pack({', '.join(walk.flat)})",
-    )
+    decode, pack = f"lambda data: {made} if {fits} else None", f"lambda s: pack({', '.join(walk.packed)})"
     # Texts and names are written as Python writes them; names of fields have been checked (schemas.py).
-    return Shape(*(eval(function, known) for function in functions))
+    return Shape(eval(decode, known), eval(pack, known))
 
 
 class _Walk:
-    """One way through a message: the format of its bytes, and expressions about `m`, a message, `v`, what its bytes are
-    unpacked to, and `s`, its numbers.
+    """One way through a message: the format of its bytes, and expressions about `v`, what its bytes are unpacked to,
+    and `s`, its numbers.
     """
 
     def __init__(self, messages: Mapping[str, str]) -> None:
         self.format, self.same_bytes = "<", 0
-        # What is packed, of a message and of numbers; what holds of every message of the shape, and of its bytes.
+        # What is packed; what holds of the bytes of every message of the shape.
         self.packed: list[str] = []
-        self.flat: list[str] = []
-        self.holds: list[str] = []
         self.expected: list[str] = []
         self._messages = messages
         # How many bytes there are, the last ones that are the same in every message, how many values, and numbers.
         self._at, self._same, self._values, self._numbers = -len(HEADER), b"", 0, 0
         self._add_same(HEADER, 1)
 
-    def message(self, name: str, place: str, value: Value) -> str:
+    def message(self, name: str, value: Value) -> str:
         """Walk through a message; how such a one is made, with the messages in it first, as the codec has it."""
-        here, made = self._named(place, value), []
+        made = []
         for item in fields(name, self._messages):
             walk = self._list if item.is_array else self._one
-            part = f"{item.name!r}: {walk(item.type, f'{here}[{item.name!r}]', value[item.name])}"
+            part = f"{item.name!r}: {walk(item.type, value[item.name])}"
             made.append((item.is_array or item.type in PRIMITIVES or item.type == "string", part))
         return f"{{{', '.join(part for _, part in sorted(made, key=itemgetter(0)))}}}"
 
@@ -85,49 +79,39 @@ class _Walk:
             self.expected.append(f"v[{self._values}] == {same}")
             self.format += f"{len(self._same)}s"
             self.packed.append(same)
-            self.flat.append(same)
             self._same = b""
             self._values += 1
 
-    def _one(self, kind: str, place: str, content: Any) -> str:
+    def _one(self, kind: str, content: Any) -> str:
         if kind in PRIMITIVES:
-            return f"v[{self._add(PRIMITIVES[kind], 1, place)}]"
+            return f"v[{self._add(PRIMITIVES[kind], 1)}]"
         if kind != "string":
-            return self.message(kind, place, content)
+            return self.message(kind, content)
         data = content.encode() + b"\0"
         self._add_same(struct.pack("<I", len(data)) + data, 4)
-        text = repr(data[:-1].decode())
-        self.holds.append(f"{place} == {text}")
-        return text
+        return repr(data[:-1].decode())
 
-    def _list(self, kind: str, place: str, content: Any) -> str:
-        here, count = self._named(place, content), len(content)
+    def _list(self, kind: str, content: Any) -> str:
+        count = len(content)
         self._add_same(struct.pack("<I", count), 4)
         if kind in ("byte", "uint8"):
-            return f"v[{self._add(f'{count}s', 1, here)}]"
+            return f"v[{self._add(f'{count}s', 1)}]"
         if kind not in PRIMITIVES:
-            return f"[{', '.join(self._one(kind, f'{here}[{index}]', one) for index, one in enumerate(content))}]"
-        first = self._add(PRIMITIVES[kind], count, f"*{here}") if count else 0
+            return f"[{', '.join(self._one(kind, one) for one in content)}]"
+        first = self._add(PRIMITIVES[kind], count) if count else 0
         return f"[*v[{first}:{first + count}]]"
-
-    def _named(self, place: str, content: Sized) -> str:
-        """A name for what stands in a place, which has as many members in every message."""
-        name = f"m{len(self.holds)}"
-        self.holds.append(f"len({name} := {place}) == {len(content)}")
-        return name
 
     def _add_same(self, data: bytes, alignment: int) -> None:
         data = bytes(-self._at % alignment) + data
         self._same, self._at, self.same_bytes = self._same + data, self._at + len(data), self.same_bytes + len(data)
 
-    def _add(self, code: str, count: int, packed: str) -> int:
+    def _add(self, code: str, count: int) -> int:
         """Numbers of one format behind what there is; the place of the first one among the values."""
         size = struct.calcsize(code)
         self._add_same(b"", 1 if code.endswith("s") else size)
         self.end()
         self._at += size * count
         self.format += code if count == 1 else f"{count}{code}"
-        self.packed.append(packed)
-        self.flat.append(f"s[{self._numbers}]" if count == 1 else f"*s[{self._numbers}:{self._numbers + count}]")
+        self.packed.append(f"s[{self._numbers}]" if count == 1 else f"*s[{self._numbers}:{self._numbers + count}]")
         self._values, self._numbers = self._values + count, self._numbers + count
         return self._values - count

@@ -12,7 +12,7 @@ Rules.
 import json
 import os
 import platform
-from collections.abc import Callable, Hashable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -27,17 +27,14 @@ from armctl.kinematics.robots.robot import Robot
 from armctl.kinematics.urdf import urdf
 from armctl.messages import Event, TickRecord
 from armctl.recording import channels, provenance
-from armctl.recording.channels import TOPICS, Anchor, Message, Row
+from armctl.recording.channels import TOPICS, Anchor, Message, Row, TickEncoder
 from armctl.recording.chunks import ChunkWriter
 from armctl.recording.disk import DISK, PART, Disk, publish, writing
 from armctl.recording.schemas import schema_text
-from armctl.recording.shapes import Shape
 
 # Attachment: schemas, channels and everything of the metadata record, with a checksum over it.
 SEED = "armctl.json"
 DIAGNOSTICS_PERIOD_NS = NS_PER_S
-# Bound on the shapes that are kept of a file's messages.
-MAX_SHAPES = 64
 
 
 class LogContext(NamedTuple):
@@ -73,7 +70,7 @@ class LogWriter:
         self.anchor = anchor or Anchor.now()
         self.begin_ns = self.anchor.monotonic_ns
         self._disk = disk
-        self._shapes: dict[Hashable, Shape | None] = {}
+        self._encoder = TickEncoder()
         self._keyframe = ""
         self._inputs_only: Sequence[TickRecord] = ()
         self._begun = self._named = False
@@ -129,7 +126,7 @@ class LogWriter:
         with writing(self.part):
             self._begin(time_ns)
             self._add_inputs(epoch_ns, record)
-            self._add_rows(epoch_ns, *channels.output_rows(record, anchor, arm, self.context.robot))
+            self._add(epoch_ns, *channels.output_rows(record, anchor, arm, self.context.robot))
             self._add(epoch_ns, *channels.event_messages(record, anchor, arm))
             if record.dropped:
                 text = f"{record.dropped} tick records were lost before tick {record.inputs.tick}"
@@ -138,7 +135,7 @@ class LogWriter:
             if now != self._diagnosed:
                 self._diagnosed = now
                 self._add(epoch_ns, channels.diagnostics(record, anchor, arm))
-            self._add_rows(epoch_ns, channels.cycle_row(record, anchor))
+            self._add(epoch_ns, channels.cycle_row(record, anchor))
             if record.keyframe:
                 self._add(epoch_ns, channels.string_message(channels.STATE, record.keyframe))
 
@@ -246,7 +243,7 @@ class LogWriter:
         for record in self._inputs_only:
             # At the time the file begins: who plays it is not to wait for what is not its own.
             self._add_inputs(epoch_ns, record)
-            self._add_rows(epoch_ns, channels.cycle_row(record, self.anchor, inputs_only=True))
+            self._add(epoch_ns, channels.cycle_row(record, self.anchor, inputs_only=True))
         self._inputs_only = ()
         self._writer.end_chunk()
         self._head_bytes = self._writer.offset
@@ -261,25 +258,13 @@ class LogWriter:
     def _add_inputs(self, epoch_ns: int, record: TickRecord) -> None:
         """What the control step saw in a tick: servos, then commands in their order."""
         self._sequence = record.inputs.tick & 0xFFFFFFFF
-        self._add_rows(epoch_ns, channels.servos_row(record, self.anchor, self.context.arm))
+        self._add(epoch_ns, channels.servos_row(record, self.anchor, self.context.arm))
         self._add(epoch_ns, *channels.command_messages(record))
 
-    def _add_rows(self, epoch_ns: int, *rows: Row) -> None:
-        """Add messages of every tick, by their numbers alone where their shape came before."""
-        for row in rows:
-            key = row.topic, row.shape
-            if key not in self._shapes:
-                if len(self._shapes) >= MAX_SHAPES:
-                    self._shapes.clear()
-                self._shapes[key] = TOPICS[row.topic].codec.shape(row.value())
-            if (shape := self._shapes[key]) is None:
-                self._add(epoch_ns, (row.topic, row.value()))
-            else:
-                self._writer.add_message(self._channels[row.topic], epoch_ns, self._sequence, shape.pack(row.numbers))
-
-    def _add(self, epoch_ns: int, *messages: Message) -> None:
-        for topic, value in messages:
-            self._writer.add_message(self._channels[topic], epoch_ns, self._sequence, TOPICS[topic].codec.encode(value))
+    def _add(self, epoch_ns: int, *messages: Row | Message) -> None:
+        for message in messages:
+            data = self._encoder.encode(message)
+            self._writer.add_message(self._channels[message[0]], epoch_ns, self._sequence, data)
 
 
 def _yaml(data: dict[str, Any]) -> str:

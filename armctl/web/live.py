@@ -87,8 +87,8 @@ class Encoder:
         messages = [channels.string_message(STATUS.name, json.dumps(snapshot, allow_nan=False))]
         if snapshot["state"] in set(Mode) and snapshot["tick"] is not None:  # else nothing is known of the arm yet
             record, anchor = self._record(snapshot), channels.Anchor(epoch_ns, 0)
-            told = channels.output_messages(record, anchor, self._arm, self._robot)
-            messages += [message for message in told if message[0] in PUBLISHED]
+            rows = channels.output_rows(record, anchor, self._arm, self._robot)
+            messages += [(row.topic, row.value()) for row in rows if row.topic in PUBLISHED]
             messages.append(channels.diagnostics(record, anchor, self._arm))
         messages += [(channels.ROSOUT, channels.log_line(event, epoch_ns, SOURCE)) for event in events]
         return messages

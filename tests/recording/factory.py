@@ -65,6 +65,7 @@ def tick_messages(record: TickRecord) -> list[channels.Message]:
     return [
         (servos.topic, servos.value()),
         *channels.command_messages(record),
-        *channels.output_messages(record, ANCHOR, ARM, ROBOT),
+        *((row.topic, row.value()) for row in channels.output_rows(record, ANCHOR, ARM, ROBOT)),
+        *channels.event_messages(record, ANCHOR, ARM),
         (cycle.topic, cycle.value()),
     ]
