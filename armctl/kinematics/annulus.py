@@ -9,10 +9,11 @@ rho < |offset|, on that cylinder. Joint ranges do not count here.
 
 import math
 import sys
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from armctl.kinematics.numbers import Numbers
 from armctl.kinematics.transform import FloatArray
 
 # Relative excess of a length that is rounding, not distance.
@@ -24,6 +25,25 @@ def annulus(links_m: tuple[float, ...]) -> tuple[float, float]:
     """Least and greatest distance [m] that links in a plane can span."""
     total = sum(links_m)
     return max(0.0, 2.0 * max(links_m) - total), total
+
+
+def waists_of_point(x: Any, y: Any, offset: float, on: Numbers) -> list[tuple[Any, Any, Any]]:
+    """Where the waist stands so that the plane `offset` beside its axis holds a point: before and behind the axis.
+
+    Returns:
+        Cosine and sine of the waist, and how far out in the plane the point then is [m]; NaN where the axis is nearer.
+    """
+    square = x * x + y * y
+    aside, off_axis = square > 0.0, on.where(square > 0.0, square, math.nan)
+    root = on.root(square - offset * offset, ROUNDING * (square + offset * offset))
+    return [
+        (
+            on.where(aside, (radial * x - offset * y) / off_axis, 1.0),
+            on.where(aside, (radial * y + offset * x) / off_axis, 0.0),
+            radial,
+        )
+        for radial in (root, -root)
+    ]
 
 
 class PlaneReach(NamedTuple):

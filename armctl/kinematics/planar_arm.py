@@ -21,7 +21,7 @@ from typing import Any, cast
 import numpy as np
 
 from armctl.errors import ConfigError
-from armctl.kinematics.annulus import ROUNDING, PlaneReach, annulus
+from armctl.kinematics.annulus import ROUNDING, PlaneReach, annulus, waists_of_point
 from armctl.kinematics.chain import Frame, columns_of
 from armctl.kinematics.numbers import ARRAYS, FLOATS, Numbers
 from armctl.kinematics.transform import FloatArray, finite
@@ -92,17 +92,17 @@ class PlanarArm:
         return [] if any(abs(math.sin(elbow)) < EDGE for _, _, elbow, *_ in found) else found
 
     def _branches(
-        self, T: Frame, waists: Iterable[tuple[Any, Any]], bend: float, on: Numbers, *, clamp: bool = False
+        self, T: Frame, waists: Iterable[tuple[Any, ...]], bend: float, on: Numbers, *, clamp: bool = False
     ) -> Iterator[tuple[Any, ...]]:
         """The angles of each branch, NaN where there is none, of the columns of a pose, or of many.
 
         Args:
-            waists: Cosine and sine of the waist, forward and back.
+            waists: Cosine and sine of the waist, and what may be told beside them, forward and back.
             clamp: The last link's direction is turned as far as the others need it to reach.
         """
         (n_x, n_y, n_z), _, _, (p_x, p_y, p_z) = T
         a_x, a_y, a_z = T[2 if self.roll else 0]
-        for c1, s1 in waists:
+        for c1, s1, *_ in waists:
             pitch = on.atan2(a_z, c1 * a_x + s1 * a_y)
             for joints in self._in_plane(c1 * p_x + s1 * p_y - self.a1, p_z - self.height, pitch, bend, on, clamp):
                 if self.roll:
@@ -154,8 +154,8 @@ class PlanarArm:
         p_x, p_y, p_z = np.repeat(np.asarray(points, dtype=np.float64), len(PITCHES), axis=0).T
         pitch, roll = np.tile(PITCHES, len(points)), (0.0,) * self.roll
         with np.errstate(invalid="ignore", divide="ignore"):
-            waists = self._waists_of_point(p_x, p_y, ARRAYS)
-            planes = [(np.arctan2(s1, c1), c1 * p_x + s1 * p_y - self.a1) for c1, s1 in waists]
+            waists = waists_of_point(p_x, p_y, self.shoulder, ARRAYS)
+            planes = [(np.arctan2(s1, c1), c1 * p_x + s1 * p_y - self.a1) for c1, s1, _ in waists]
             family = [
                 _stacked(
                     (waist, *joints, *roll)
@@ -182,21 +182,8 @@ class PlanarArm:
         at[:3, 3], distance = self.tool_reach.nearest(T[:3, 3])
         columns = columns_of(at[None])
         with np.errstate(invalid="ignore", divide="ignore"):
-            waists = self._waists_of_point(*columns[3][:2], ARRAYS)
+            waists = waists_of_point(*columns[3][:2], self.shoulder, ARRAYS)
             return finite(_stacked(self._branches(columns, waists, 0.0, ARRAYS, clamp=True))), distance
-
-    def _waists_of_point(self, x: Any, y: Any, on: Numbers) -> list[tuple[Any, Any]]:
-        """Cosine and sine of the waist: the plane holds the point, before and behind the axis."""
-        offset, square = self.shoulder, x * x + y * y
-        root = on.root(square - offset * offset, ROUNDING * (square + offset * offset))
-        aside, off_axis = square > 0.0, on.where(square > 0.0, square, math.nan)
-        return [
-            (
-                on.where(aside, (radial * x - offset * y) / off_axis, 1.0),
-                on.where(aside, (radial * y + offset * x) / off_axis, 0.0),
-            )
-            for radial in (root, -root)
-        ]
 
     def _waists(self, T: Frame, on: Numbers) -> list[tuple[Any, Any]]:
         """Cosine and sine of the waist of a pose: across the pitch axis or, where the hand rolls, as that points.
@@ -211,7 +198,7 @@ class PlanarArm:
         by_axis = level > on.root(p_x * p_x + p_y * p_y, 0.0) / sum(self.links_m)
         return [
             (on.where(by_axis, way * a_x / leveled, c1), on.where(by_axis, way * a_y / leveled, s1))
-            for way, (c1, s1) in zip((1.0, -1.0), self._waists_of_point(p_x, p_y, on), strict=True)
+            for way, (c1, s1, _) in zip((1.0, -1.0), waists_of_point(p_x, p_y, self.shoulder, on), strict=True)
         ]
 
 

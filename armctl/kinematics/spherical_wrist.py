@@ -21,7 +21,7 @@ from typing import Any, cast
 import numpy as np
 
 from armctl.errors import ConfigError
-from armctl.kinematics.annulus import ROUNDING, PlaneReach
+from armctl.kinematics.annulus import ROUNDING, PlaneReach, waists_of_point
 from armctl.kinematics.chain import Frame, blocks, columns_of
 from armctl.kinematics.numbers import ARRAYS, FLOATS, Numbers
 from armctl.kinematics.transform import FloatArray, finite
@@ -100,14 +100,9 @@ class SphericalWrist:
         """Six angles of each branch, NaN where there is none, of the columns of a pose, or of many."""
         (n_x, n_y, n_z), (o_x, o_y, o_z), (a_x, a_y, a_z), (p_x, p_y, p_z) = T
         L, cos_bend, sin_bend = self._forearm
-        a2, offset, d6 = self.a2, self.shoulder, self.d6
+        a2, d6 = self.a2, self.d6
         w_x, w_y, v = p_x - d6 * a_x, p_y - d6 * a_y, p_z - d6 * a_z
-        square = w_x * w_x + w_y * w_y
-        aside, off_axis = square > 0.0, on.where(square > 0.0, square, math.nan)
-        root = on.root(square - offset * offset, ROUNDING * (square + offset * offset))
-        for radial in (root, -root):
-            c1 = on.where(aside, (radial * w_x - offset * w_y) / off_axis, 1.0 + 0.0 * root)
-            s1 = on.where(aside, (radial * w_y + offset * w_x) / off_axis, 0.0 * root)
+        for c1, s1, radial in waists_of_point(w_x, w_y, self.shoulder, on):
             q1, u = on.atan2(s1, c1), radial - self.a1
             C = ((u * u + v * v) - (a2 * a2 + L * L)) / (2.0 * a2 * L)
             bent = on.root((1.0 - C) * (1.0 + C), 2.0 * ROUNDING)
