@@ -9,7 +9,7 @@ Rules.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import replace
 from typing import Literal
@@ -177,11 +177,8 @@ def _solutions(request: ReachRequest, q_now: Sequence[float], on: Driven) -> Ite
     n = on.robot.chain.n
     bounded = replace(on.robot, ranges_deg=tuple(joint.limits_deg for joint in on.arm.joints[:n]))
     target, present = aimed(request.point_m, request.direction), np.asarray(q_now[:n])
-    method, seed = request.ik, request.seed
-    if method == "closed" or method == "numeric":
-        answer = solution.solve(bounded, target, method=method, present=present, seed=seed)
-    else:
-        answer = genetic.solve(bounded, target, method=method, present=present, seed=seed)
+    solve: Callable[..., solution.Answer] = genetic.solve if request.ik.startswith("ga") else solution.solve
+    answer = solve(bounded, target, method=request.ik, present=present, seed=request.seed)
     if not answer.reachable and answer.least_position_error_m > 0.0:
         raise unreachable(target.position_m, answer.least_position_error_m)
     found = [
