@@ -11,7 +11,6 @@ Messages of a shape that came before are decoded at one go (shapes.py), all othe
 
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
 
@@ -34,15 +33,21 @@ _COUNT = struct.Struct("<I").unpack_from
 _SIZES = {code: struct.calcsize(code) for code in (*PRIMITIVES.values(), _STRING)}
 
 
-@dataclass(frozen=True)
 class Codec:
     """Bytes of one message type, both ways."""
 
-    name: str
-    _type: "_Type"
-    _messages: Mapping[str, str] = field(repr=False, compare=False)
-    # Shapes that were met in decoding, by the size of messages; None: one that is not worth it.
-    _decoded: dict[int, list[Shape | None]] = field(default_factory=dict, repr=False, compare=False)
+    def __init__(self, name: str, messages: Mapping[str, str]) -> None:
+        """
+        Args:
+            name: Short name of the type.
+            messages: Declarations of the types.
+        Raises:
+            LogError: it is nested too deeply, or too wide.
+        """
+        self.name, self._messages = name, messages
+        self._type = _compile(name, messages, 0, {})
+        # Shapes that were met in decoding, by the size of messages; None: one that is not worth it.
+        self._decoded: dict[int, list[Shape | None]] = {}
 
     def encode(self, value: Value) -> bytes:
         """CDR bytes of a message.
@@ -85,7 +90,7 @@ class Codec:
 @lru_cache(256)
 def codec(name: str) -> Codec:
     """The codec of one of armctl's own types, by short or full name."""
-    return Codec(short_name(name), _compile(short_name(name), MESSAGES, 0, {}), MESSAGES)
+    return Codec(short_name(name), MESSAGES)
 
 
 @lru_cache(256)
@@ -95,8 +100,7 @@ def schema_codec(name: str, text: str) -> Codec:
     Raises:
         LogError: the schema cannot be read.
     """
-    messages = parse_schema(name, text)
-    return Codec(short_name(name), _compile(short_name(name), messages, 0, {}), messages)
+    return Codec(short_name(name), parse_schema(name, text))
 
 
 def _compile(name: str, messages: Mapping[str, str], depth: int, known: dict[str, "_Type"]) -> "_Type":
