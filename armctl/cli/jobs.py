@@ -206,7 +206,8 @@ def refined(output: Output, doing: str, what: str, asked: dict[str, Any], wanted
         if result.get("ended"):
             output.say(f"ended before its time: {result['ended']['code']}: {result['ended']['text']}")
         if "plan" in result:
-            output.say(f"the best one: armctl {what} {result['plan']}")
+            best = f"the best one: armctl {what} {result['plan']}"
+            output.say(best if result["plan"] else "no correction was kept: no file is written")
     output.answer(result, off=off(result, wanted))
     return 1 if result.get("ended") else 0
 

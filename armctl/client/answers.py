@@ -85,7 +85,8 @@ class Followed(Recorded):
     max_error_mm: float
     duration_s: float
     rounds: NotRequired[list[dict[str, Any]]]
-    plan: NotRequired[str]
+    # The file of the best one; None: no correction of a path was better.
+    plan: NotRequired[str | None]
 
 
 class Programmed(Recorded):

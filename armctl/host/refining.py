@@ -4,8 +4,9 @@ Rules.
 1. What is learnt of a plan and when it is kept stands in `trajectory/refinement.py`, what is learnt of a path in
    `trajectory/path_motion.py`; computing waits in a thread, not in the loop.
 2. All of it is one request and one lease. Anybody may stop or pause it, in a run or between two.
-3. Each run is a recording. The best plan so far is a file as soon as it is known, so whatever ends the refinement,
-   a client that leaves included, nothing is lost: once there is one whole run, the answer tells what was reached.
+3. Each run is a recording. The best plan so far is a file as soon as it is known, a path as soon as a correction made
+   it better. So whatever ends the refinement, a client that leaves included, nothing is lost: once there is one whole
+   run, the answer tells what was reached.
 4. The time of a reading is the plan's, not the clock's: it does no harm that the arm waited a few ticks for a servo. A
    run that `waited_long` (paused, or slowed down) is repeated, not learnt from.
 """
@@ -57,7 +58,11 @@ async def refine(
 
 
 async def refine_path(host: Host, client: Client, request: PathRequest, further: int, folder: Path) -> dict[str, Any]:
-    """Lead the tool along a path, and correct it by at most so many further runs; else as `refine`."""
+    """Lead the tool along a path, and correct it by at most so many further runs; else as `refine`.
+
+    Args:
+        folder: Where the best correction is kept, as a new file; without one that is better there is none.
+    """
     with host.leases.commanding(client, "path") as lease:
         return await _OfPath(host, lease, further, folder, "path").done(request)
 
@@ -72,6 +77,8 @@ class _Runs:
         self.results: dict[str, dict[str, Any]] = {}
         self.path = folder / f"refined-{what}-{datetime.now(UTC):%Y%m%dT%H%M%S.%f}Z.json"
         self.kept: Frozen | None = None
+        # The file of what is kept; None: there is none.
+        self.file: str | None = None
 
     async def run(self, leg: Leg, note: dict[str, Any], result_of: Callable[[Done], dict[str, Any]]) -> Measured:
         """A run that nothing disturbed.
@@ -106,19 +113,18 @@ class _Runs:
         """Write the best so far, in place of the one before it."""
         if what is not self.kept:
             put(self.path, plan_to_text(what))
-        self.kept = what
+            self.kept, self.file = what, str(self.path)
 
     def answer(self, best: Measured, rows: list[dict[str, Any]], ended: RequestRefused | None) -> dict[str, Any]:
-        told = {"code": ended.code, "text": str(ended)} if ended else None
-        answer = {**self.results[best.recording], "rounds": rows, "plan": str(self.path), "ended": told}
-        self.host.note({"event": "REFINED", **{key: answer[key] for key in ("rounds", "plan", "ended")}})
-        return answer
+        told = {"rounds": rows, "plan": self.file, "ended": ended and {"code": ended.code, "text": str(ended)}}
+        self.host.note({"event": "REFINED", **told})
+        return self.results[best.recording] | told
 
 
 class _OfPath(_Runs):
     async def done(self, request: PathRequest) -> dict[str, Any]:
         """Everything; the answer."""
-        host, rows = self.host, list[dict[str, Any]]()
+        host, rows, self.kept = self.host, list[dict[str, Any]](), request
         best: tuple[float, PathRequest, Measured] | None = None
         seen, ended, unkept = list[PathSeen](), None, 0
         while self.runs < self.most and unkept < refinement.PATIENCE:
@@ -169,8 +175,7 @@ class _OfPlan(_Runs):
         return self.answer(work.best.runs[-1], rows, ended)
 
     def _begun(self, first: Measured) -> Refinement:
-        one = Round(0, course_of(self.host, self.plan), self.plan, self.corrected)
-        one = with_run(self.host, one, first)
+        one = with_run(self.host, Round(0, course_of(self.host, self.plan), self.plan, self.corrected), first)
         return Refinement(self.host, one, self.most - 1, runs_left=lambda: self.most - self.runs)
 
     async def _measured(self, plan: Plan) -> Measured:

@@ -62,11 +62,13 @@ def test_a_virtual_transfer_leaves_a_log_a_page_and_a_table(tmp_path: Path, type
 class Refining(StandIn):
     """Tells a refinement run by run."""
 
+    plan: str | None = "/best.json"
+
     def __init__(self, socket: str | None) -> None:
         assert socket is None
 
     def call(self, method: str, **params: Any) -> dict[str, Any]:
-        assert (method, params["refine"]) == ("run", 2)
+        assert (method, params["refine"]) == ("run" if self.plan else "path", 2)
         errors = {"mean_error_mm": 1.234, "max_error_mm": 3.456}
         rounds = [{"round": number, **errors, "kept": number == 0} for number in range(2)]
         params["on_progress"]({"runs": 1, "of": 3, "round": rounds[0]})
@@ -76,9 +78,10 @@ class Refining(StandIn):
             "duration_s": 5.0,
             "ended": None,
             "rounds": rounds,
-            "plan": "/best.json",
+            "plan": self.plan,
         }
-        return {**done, "predicted_mean_error_mm": 0.1, "predicted_max_error_mm": 0.2}
+        ways = ("predicted", "path")
+        return done | {f"{way}_{key}": 0.1 for way in ways for key in errors}
 
 
 def test_a_refinement_is_told_in_words_that_need_no_manual(
@@ -92,3 +95,16 @@ def test_a_refinement_is_told_in_words_that_need_no_manual(
         "correction 1: 1.23 mm mean and 3.46 mm at most off the wanted line, not better by more than noise" in said.out
     )
     assert "the best one: armctl run /best.json\n" in said.out
+
+
+def test_a_path_that_no_correction_made_better_is_said_to_have_no_new_file(
+    typed: Typed, answer: Answer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(client, "Client", Refining)
+    monkeypatch.setattr(Refining, "plan", None)
+    (tmp_path / "path.csv").write_text("x_m,y_m,z_m\n0.18,0,0.1\n0.2,0,0.1\n", encoding="utf-8")
+    command = ("path", str(tmp_path / "path.csv"), "--refine", "2")
+    said = typed(*command).out
+    assert "no correction was kept: no file is written" in said.splitlines()
+    assert "best one" not in said
+    assert answer(*command)["plan"] is None

@@ -18,7 +18,7 @@ from armctl.messages import JointTrajectory, Mode, Reply, Run
 from armctl.trajectory.plan import Plan, plan_from_text
 from armctl.trajectory.refinement import Measured
 from armctl.trajectory.target import MoveRequest
-from armctl.trajectory.tool_path import PathRequest, path_from_text
+from armctl.trajectory.tool_path import PathRequest
 from tests.host.bench import Bench
 from tests.host.doubles import refused
 from tests.host.simulated import on_arm
@@ -47,10 +47,13 @@ def of_path(bench: Bench, folder: Path) -> Coroutine[Any, Any, dict[str, Any]]:
 EITHER = pytest.mark.parametrize("work", [of_plan, of_path])
 
 
-def kept_of(work: Work, result: dict[str, Any]) -> Plan | PathRequest:
-    """What was kept as a file, read again."""
-    text = Path(result["plan"]).read_text(encoding="utf-8")
-    return (plan_from_text if work is of_plan else path_from_text)(text, "kept")
+def of_first_run(work: Work, result: dict[str, Any], folder: Path) -> bool:
+    """Whether the first run's plan is what was kept; of a path, which the client has as a file, nothing."""
+    rounds, files = [row["round"] for row in result["rounds"] if row["kept"]], list(folder.iterdir())
+    if work is of_path:
+        return (rounds, result["plan"], files) == ([0], None, [])
+    kept = plan_from_text(Path(result["plan"]).read_text(encoding="utf-8"), "kept")
+    return (rounds, [result["plan"]], kept.duration_s) == ([0], list(map(str, files)), 2.0)
 
 
 async def refining(bench: Bench, folder: Path, work: Work = of_plan) -> asyncio.Task[dict[str, Any]]:
@@ -106,13 +109,12 @@ async def test_the_arm_is_the_refiner_s_until_its_last_run(bench: Bench, tmp_pat
 
 @EITHER
 async def test_a_stop_keeps_what_was_reached(bench: Bench, tmp_path: Path, work: Work) -> None:
-    wanted = line_plan(bench) if work is of_plan else SHORT_PATH
     task = await refining(bench, tmp_path, work)
     await bench.served(bench.host.stop())
     result = await bench.served(task)
     assert result["ended"]["code"] == "STOPPED"
     assert [row["round"] for row in result["rounds"]] == [0]
-    assert kept_of(work, result) == wanted
+    assert of_first_run(work, result, tmp_path)
     assert bench.arm.mode() is Mode.HOLDING
     assert len(bench.recorder.takes) == 2, "what was recorded of the run that was stopped is kept"
 
@@ -127,8 +129,7 @@ async def test_a_full_disk_keeps_what_was_reached(bench: Bench, tmp_path: Path, 
     bench.recorder.on_begin = full
     result = await bench.served(task)
     assert result["ended"] == {"code": "LOG", "text": "the disk is full"}
-    assert result["rounds"][0]["round"] == 0
-    assert kept_of(work, result).duration_s == 2.0
+    assert of_first_run(work, result, tmp_path)
 
 
 @EITHER
@@ -148,8 +149,17 @@ async def test_a_client_that_leaves_stops_the_arm_and_its_plan_is_in_the_log(
     bench.host.client_gone(bench.anna)
     result = await bench.served(task)
     assert result["ended"]["code"] in ("STOPPED", "LEASE_LOST")
-    assert any(result["plan"] in note for note in bench.recorder.notes)
+    noted = [note for note in map(json.loads, bench.recorder.notes) if note["event"] == "REFINED"]
+    assert [note["plan"] for note in noted] == [result["plan"]]
     assert bench.host.leases.current is None
+
+
+async def test_of_a_path_that_no_correction_made_better_no_file_is_written(bench: Bench, tmp_path: Path) -> None:
+    result = await bench.served(refine_path(bench.host, bench.anna, SHORT_PATH, 2, tmp_path))
+    assert [row["kept"] for row in result["rounds"]] == [True, False, False]
+    assert result["recording"] == result["rounds"][0]["recordings"][0]
+    assert result["plan"] is None
+    assert not list(tmp_path.iterdir())
 
 
 async def test_a_refinement_that_is_paused_between_runs_waits_for_resume(bench: Bench, tmp_path: Path) -> None:
