@@ -123,7 +123,7 @@ def owned(path: Path) -> Iterator[None]:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             yield
     except BlockingIOError:
-        raise PartInUse(f"{path}: is being written; end the recording first") from None
+        raise PartInUse(f"{path}: is being written; end what writes it, or wait for it") from None
     except OSError as error:
         raise LogError(f"{path}: cannot be read: {error.strerror}") from None
 
@@ -165,6 +165,7 @@ def new_file(
         suffix: Added to the name while the file is not finished.
         replacing: Whether it takes the place of the file that has the name.
     Raises:
+        PartInUse: another process is making the file.
         LogError: the name is taken, or it cannot be written.
     """
     if path.exists() and not replacing:
@@ -172,18 +173,19 @@ def new_file(
     unfinished = path.with_name(path.name + suffix)
     with writing(path):
         if unfinished.exists():
-            disk.remove(unfinished)  # left behind by one that was killed
-        try:
-            with disk.create(unfinished) as stream:
+            with owned(unfinished), writing(unfinished):
+                disk.remove(unfinished)  # left behind by one that was killed
+        # The lock is held until the file has its name: nobody takes it for one that was left behind.
+        with disk.create(unfinished) as stream:
+            try:
                 yield stream
                 disk.sync(stream)
-            if replacing:
-                disk.replace(unfinished, path)
-                disk.sync_folder(path.parent)
-            else:
-                publish(unfinished, path, disk)
-        finally:
-            # Where it got its name there is nothing left to remove.
-            with suppress(OSError):
-                if unfinished.exists():
+                if replacing:
+                    disk.replace(unfinished, path)
+                    disk.sync_folder(path.parent)
+                else:
+                    publish(unfinished, path, disk)
+            except BaseException:
+                with suppress(OSError):
                     disk.remove(unfinished)
+                raise

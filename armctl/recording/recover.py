@@ -76,14 +76,13 @@ def recover_folder(folder: Path, *, disk: Disk = DISK) -> None:
             continue
         try:
             result = recover(part, disk=disk)
+            _log.warning("%s: recovered %d messages, %.3f s lost", part, result.recovered_messages, result.lost_s)
         except PartInUse:
             continue
         except LogError as error:
             _log.error("%s", error)
             if part.exists() and not (broken := part.with_name(part.name + BROKEN)).exists():
                 disk.replace(part, broken)
-            continue
-        _log.warning("%s: recovered %d messages, %.3f s lost", part, result.recovered_messages, result.lost_s)
 
 
 def _free_name(path: Path) -> Path:

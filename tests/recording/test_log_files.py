@@ -6,6 +6,7 @@ import os
 import random
 from collections import Counter
 from contextlib import suppress
+from io import BufferedWriter
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ from armctl.messages import Event, Inputs, Outputs
 from armctl.recording import reader, recordings
 from armctl.recording.channels import TOPICS
 from armctl.recording.chunks import ChunkWriter
-from armctl.recording.disk import PartInUse, publish
+from armctl.recording.disk import Disk, PartInUse, new_file, publish
 from armctl.recording.log_file import LogFile
 from armctl.recording.recover import recover, recover_folder
 from armctl.recording.replay import check, log_setup
@@ -233,6 +234,44 @@ def test_messages_outside_chunks_are_not_trusted(tmp_path: Path) -> None:
     with foreign(path, use_chunking=False) as writer:
         writer.add_message(writer.register_channel("/json", "json", 0), 5, b"{}", 5)
     assert (reader.info(path).messages, reader.info(path).complete) == (0, False)
+
+
+@pytest.mark.parametrize("replacing", [False, True])
+def test_a_file_that_another_process_is_making_is_left_to_it(tmp_path: Path, replacing: bool) -> None:
+    path = tmp_path / "a.csv"
+    with new_file(path, replacing=replacing) as stream:
+        stream.write(b"theirs")
+        with (
+            pytest.raises(PartInUse, match=r"a\.csv\.unfinished: is being written"),
+            new_file(path, replacing=replacing),
+        ):
+            pass
+    assert [(file.name, file.read_bytes()) for file in tmp_path.iterdir()] == [("a.csv", b"theirs")]
+
+
+class TakenBefore(Disk):
+    """Another process is quicker to make the unfinished file."""
+
+    def create(self, path: Path) -> BufferedWriter:
+        path.write_bytes(b"theirs")
+        return super().create(path)
+
+
+class TakenAfter(Disk):
+    """Another process begins the same file as soon as this one has its name."""
+
+    def replace(self, old: Path, new: Path) -> None:
+        super().replace(old, new)
+        old.write_bytes(b"theirs")
+
+
+@pytest.mark.parametrize(("disk", "made"), [(TakenBefore(), b"before"), (TakenAfter(), b"mine")])
+def test_an_unfinished_file_that_another_process_made_meanwhile_stays(tmp_path: Path, disk: Disk, made: bytes) -> None:
+    path = tmp_path / "a.csv"
+    path.write_bytes(b"before")
+    with suppress(LogError), new_file(path, disk, replacing=True) as stream:
+        stream.write(b"mine")
+    assert (path.read_bytes(), (tmp_path / "a.csv.unfinished").read_bytes()) == (made, b"theirs")
 
 
 # ---------------------------------------------------------------------------------------------------- recovery
