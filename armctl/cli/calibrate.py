@@ -103,11 +103,10 @@ def calibrate_command(output: Output, points: Path | None, touches: int, way: tu
     text = calibration.calibration_text(after, [f"Calibrated {date.today().isoformat()} from {name}: {remark}."])
     kept = arm_file.renew(path, text)
     result = {"path": str(path), "changes": _changes(before, after)} | more
-    if output.result(result):
-        return
-    if more:
-        show_found(output, table, more)
-    _show_changes(output, result, kept, str(name if out is None else out))
+    if not output.result(result):
+        if more:
+            show_found(output, table, more)
+        _show_changes(output, result, kept, str(name if out is None else out))
 
 
 def _refuse_several(sources: tuple[Any, ...], way: tuple[str, ...], new: tuple[Path | None, ...]) -> None:
@@ -145,13 +144,11 @@ def _draw_sheet(output: Output, file: Path, points: Path | None, touches: int, *
 def _undo(output: Output) -> None:
     """Have the arm's file hold what it held before it was renewed last; done twice, it is as it was."""
     from armctl.commissioning import arm_file
-    from armctl.config import ArmConfig, parse_yaml, validate
 
     name = output.arm_name or output.config.arm
     path, old = arm_file.active_path(name), output.arm
-    text = read_text(source := arm_file.before(path), "calibration")
-    new = validate(ArmConfig, parse_yaml(text, str(path)), str(path))
-    kept = arm_file.renew(path, text)
+    source, new = arm_file.before(path)
+    kept = arm_file.renew(path, read_text(source, "calibration"))
     result = {"path": str(path), "changes": _changes(old, new), "in_force": str(source)}
     output.answer(result, lambda: _show_changes(output, result, kept, name))
 
@@ -303,12 +300,11 @@ def _values(arm: ArmConfig) -> dict[str, Any]:
     from armctl.kinematics import robots
 
     found = dict[str, Any]((f"lengths_m.{key}", m) for key, m in robots.get(arm.robot, arm.lengths_m).lengths_m.items())
-    for joint in arm.joints:
-        told = joint.model_dump(mode="json")
-        found |= {f"{joint.name}.{key}": told.get(key) for key in ("zero_tick", "limits_deg", "rest_deg", "pair")}
-    for number, row in enumerate(() if isinstance(arm.robot, str) else arm.robot.dh, 1):
-        told = row.model_dump(mode="json", exclude_defaults=True)
-        found |= {f"robot.dh.{number}.{key}": value for key, value in told.items()}
+    of_joint = {"zero_tick", "limits_deg", "rest_deg", "pair"}
+    tables = [(joint.name, joint.model_dump(mode="json", include=of_joint)) for joint in arm.joints]
+    rows = enumerate(() if isinstance(arm.robot, str) else arm.robot.dh, 1)
+    tables += [(f"robot.dh.{number}", row.model_dump(mode="json", exclude_defaults=True)) for number, row in rows]
+    found |= {f"{name}.{key}": value for name, table in tables for key, value in table.items()}
     return found | {"ramp_from_reference": arm.ramp_from_reference}
 
 

@@ -119,17 +119,21 @@ def renew(path: Path, text: str) -> Path | None:
     return kept
 
 
-def before(path: Path) -> Path:
-    """Where what an arm's file held before it was renewed last is; if never, what comes with armctl under that name.
+def before(path: Path) -> tuple[Path, ArmConfig]:
+    """What an arm's file held before it was renewed last, and where; if never, what comes with armctl under that name.
 
     Raises:
-        ConfigError: there is neither.
+        ConfigError: there is neither, or it is not acceptable.
     """
     kept = sorted((int(one.stem), one) for one in _kept(path))
     shipped = [file for folder in shipped_dirs() if path.exists() and (file := folder / path.name).exists()]
     if not kept and not shipped:
         raise ConfigError(str(path), "", "has no history: it was never renewed", "there is nothing to take back")
-    return kept[-1][1] if kept else shipped[0]
+    source = kept[-1][1] if kept else shipped[0]
+    try:
+        return source, load_arm(str(source))
+    except ConfigError as error:
+        raise ConfigError(error.file, error.key, error.problem, "mend it, or remove it to go back farther") from None
 
 
 def _kept(path: Path) -> list[Path]:

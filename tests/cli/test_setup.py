@@ -517,6 +517,25 @@ def test_a_calibration_is_taken_back_and_brought_back(arm_file: Path, answer: An
     assert arm_file.read_text() == new
 
 
+def test_a_history_that_cannot_be_taken_back_is_named_itself_and_the_arm_stays(arm_file: Path, typed: Typed) -> None:
+    whole = arm_file.read_text()
+    (kept := arm_file.with_name("my-arm.history") / "1.yaml").parent.mkdir()
+    unknown = whole.replace("zero_tick", "zero_tack", 1)
+    far = whole.replace("zero_tick: 512", "zero_tick: 5120", 1)
+    remedy = "mend it, or remove it to go back farther"
+    for text, place in (
+        (f"{whole}\nmore: [", f"line {whole.count(chr(10)) + 2}, column"),
+        (unknown, "joints.0.zero_tack: unknown key"),
+        (far, "joints.0.zero_tick: "),
+        ("\xff", "the calibration is not UTF-8 text"),
+    ):
+        kept.write_text(text, encoding="latin-1")
+        said = typed("calibrate", "--arm", arm_file, "--undo", status=2).err.replace("\n", " ")
+        assert not missing(said, f"{kept}: ", place, remedy)
+    assert arm_file.read_text() == whole
+    assert [*kept.parent.iterdir()] == [kept]
+
+
 def test_where_the_arms_folder_cannot_be_written_the_file_stays(arm_file: Path, typed: Typed) -> None:
     old = arm_file.read_text()
     arm_file.with_name("my-arm.history").write_text("in the way")
