@@ -67,9 +67,11 @@ def find_arm_file(arm: str) -> Path:
     raise ConfigError(arm, "", "no such arm", f"known: {names}; or give the path of a calibration file")
 
 
-def load_arm(arm: str) -> ArmConfig:
+def load_arm(arm: str, beside: Path | None = None) -> ArmConfig:
     """The arm of that name or path, whole: a URDF that its file names is read and made the table in it.
 
+    Args:
+        beside: The file beside which the URDF lies; None: the arm's own.
     Raises:
         ConfigError: the file, its URDF, or what they say of the robot is not acceptable.
     """
@@ -78,7 +80,7 @@ def load_arm(arm: str) -> ArmConfig:
     path = find_arm_file(arm)
     told = parse_yaml(read_text(path, "calibration"), str(path))
     if isinstance(robot := told.get("robot"), dict) and "urdf" in robot and "dh" not in robot:
-        told = _with_urdf(told, robot, path)
+        told = _with_urdf(told, robot, path, (beside or path).parent)
     found = validate(ArmConfig, told, str(path))
     from armctl.kinematics import robots
 
@@ -90,13 +92,13 @@ def load_arm(arm: str) -> ArmConfig:
     return found
 
 
-def _with_urdf(told: dict[str, Any], robot: dict[str, Any], path: Path) -> dict[str, Any]:
+def _with_urdf(told: dict[str, Any], robot: dict[str, Any], path: Path, folder: Path) -> dict[str, Any]:
     """An arm's file with the table of its URDF, and the URDF's limits where the file gives a joint none."""
     from armctl.kinematics.urdf_reader import read
 
     if set(robot) != {"urdf", "tool"} or not all(isinstance(value, str) for value in robot.values()):
         raise ConfigError(str(path), "robot", f"has the keys {', '.join(robot)}", "a URDF takes `urdf` and `tool`")
-    file = path.parent / robot["urdf"]
+    file = folder / robot["urdf"]
     found = read(_urdf_text(file), robot["tool"], str(file))
     for link, mesh in found.meshes:
         if not os.path.isfile(file.parent / mesh.rpartition("://")[2]):  # unlike Path.is_file of an over-long name, too

@@ -23,7 +23,6 @@ from armctl.cli.setup import AtTerminal, opened
 from armctl.cli.tables import below, show_rows
 from armctl.commissioning.texts import said
 from armctl.errors import RequestRefused
-from armctl.files import read_text
 
 if TYPE_CHECKING:
     from armctl.client import Client
@@ -147,8 +146,8 @@ def _undo(output: Output) -> None:
 
     name = output.arm_name or output.config.arm
     path, old = arm_file.active_path(name), output.arm
-    source, new = arm_file.before(path)
-    kept = arm_file.renew(path, read_text(source, "calibration"))
+    source, new, text = arm_file.before(path)
+    kept = arm_file.renew(path, text)
     result = {"path": str(path), "changes": _changes(old, new), "in_force": str(source)}
     output.answer(result, lambda: _show_changes(output, result, kept, name))
 

@@ -119,8 +119,9 @@ def renew(path: Path, text: str) -> Path | None:
     return kept
 
 
-def before(path: Path) -> tuple[Path, ArmConfig]:
-    """What an arm's file held before it was renewed last, and where; if never, what comes with armctl under that name.
+def before(path: Path) -> tuple[Path, ArmConfig, str]:
+    """Where what an arm's file held before it was renewed last is, the arm and the text; if never, those that come with
+    armctl under that name.
 
     Raises:
         ConfigError: there is neither, or it is not acceptable.
@@ -131,7 +132,8 @@ def before(path: Path) -> tuple[Path, ArmConfig]:
         raise ConfigError(str(path), "", "has no history: it was never renewed", "there is nothing to take back")
     source = kept[-1][1] if kept else shipped[0]
     try:
-        return source, load_arm(str(source))
+        arm = load_arm(str(source), path if kept else None)
+        return source, arm, read_text(source, "calibration") if kept else whole_text(str(source))
     except ConfigError as error:
         raise ConfigError(error.file, error.key, error.problem, "mend it, or remove it to go back farther") from None
 

@@ -517,6 +517,25 @@ def test_a_calibration_is_taken_back_and_brought_back(arm_file: Path, answer: An
     assert arm_file.read_text() == new
 
 
+@pytest.mark.parametrize("where", ["history", "shipped"])
+def test_an_arm_of_a_urdf_is_taken_back(
+    where: str, tmp_path: Path, typed: Typed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    shipped, old = find_arm_file("crane-plus-v2"), load_arm("crane-plus-v2")
+    (own := tmp_path / "armctl" / "calibration" / shipped.name).parent.mkdir(parents=True)
+    joints = (old.joints[0].model_copy(update={"zero_tick": 500.0}), *old.joints[1:])
+    own.write_text(calibration_text(old.model_copy(update={"joints": joints}), []))
+    if where == "history":
+        shutil.copy(shipped.with_suffix(".urdf"), own.parent)
+        (kept := own.with_suffix(".history") / "1.yaml").parent.mkdir()
+        shutil.copy(shipped, kept)
+    said = typed("calibrate", "--arm", "crane-plus-v2", "--undo").out
+    assert not missing(said, "waist.zero_tick", f"written: {own}")
+    assert load_arm(str(own)).model_dump() == old.model_dump()
+    assert (own.read_text() == shipped.read_text()) == (where == "history")
+
+
 def test_a_history_that_cannot_be_taken_back_is_named_itself_and_the_arm_stays(arm_file: Path, typed: Typed) -> None:
     whole = arm_file.read_text()
     (kept := arm_file.with_name("my-arm.history") / "1.yaml").parent.mkdir()
