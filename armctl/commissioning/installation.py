@@ -66,19 +66,21 @@ class File(NamedTuple):
         kept = " unless it is there" if self.keep else ""
         return f"remove /{self.path}" if self.text is None else f"write /{self.path}{kept}"
 
-    def due(self, root: Path) -> bool:
+    def there(self, root: Path) -> str | None:
+        """The text that is there, bytes that are no UTF-8 as escapes; None: there is no file."""
         target = root / self.path
-        if not target.exists():
-            return self.text is not None
-        return self.text is None or (not self.keep and target.read_text(encoding="utf-8") != self.text)
+        return target.read_text(encoding="utf-8", errors="backslashreplace") if target.exists() else None
+
+    def due(self, root: Path) -> bool:
+        return (there := self.there(root)) != self.text and (there is None or not self.keep)
 
     def difference(self, root: Path) -> str:
         """What a text that is there loses and gets; empty: nothing."""
-        target = root / self.path
-        if self.text is None or not target.exists() or not self.due(root):
+        there = self.there(root)
+        if self.text is None or there is None or self.keep:
             return ""
-        before, after = target.read_text(encoding="utf-8").splitlines(), self.text.splitlines()
-        return "\n".join(difflib.unified_diff(before, after, f"/{self.path}", "as it is to be", n=0, lineterm=""))
+        names = f"/{self.path}", "as it is to be"
+        return "\n".join(difflib.unified_diff(there.splitlines(), self.text.splitlines(), *names, n=0, lineterm=""))
 
     def do(self, root: Path) -> None:
         target = root / self.path
@@ -196,7 +198,7 @@ def _settings(arm: str | None, root: Path) -> tuple[File, File]:
     if not re.fullmatch(NAME_PATTERN, name):
         raise ConfigError(str(source), "", "its name is no name of an arm", "letters, digits, '.', '_', '-'")
     target = folder / f"{name}.yaml"
-    if arm is not None and target.exists() and target.read_text(encoding="utf-8") != told:
+    if arm is not None and target.exists() and File(target, told).due(Path()):
         raise ConfigError(str(target), "", *said("kept file", source=source, target=target).split("; ", 1))
     text, keep = f"port: /dev/armctl\narm: {name}\n", True
     if there and arm is not None and there != name:

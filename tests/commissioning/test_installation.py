@@ -119,6 +119,22 @@ def test_a_changed_unit_is_shown_before_it_is_replaced(acts: list[Act], root: Pa
     assert shown.splitlines()[-1] == "-# mine"
 
 
+def test_a_unit_that_is_not_utf_8_is_shown_and_replaced(acts: list[Act], prefix: Path, root: Path) -> None:
+    due(acts, root)
+    unit, before = root / "etc/systemd/system/armctl.service", contents(root)
+    with unit.open("ab") as file:
+        file.write(b"# caf\xe9\n")
+    [shown] = filter(None, (act.difference(root) for act in acts if isinstance(act, module.File)))
+    assert shown.splitlines()[-1] == r"-# caf\xe9"
+    assert due(acts, root) == ["write /etc/systemd/system/armctl.service"]
+    assert contents(root) == before
+    unit.write_bytes(b"\xff")
+    assert "remove /etc/systemd/system/armctl.service" in due(removal(), root)
+    (root / KEPT[1]).write_bytes(b"# caf\xe9\n")
+    with pytest.raises(ConfigError, match="is kept, and is not what"):
+        installation(arm="ax12-line", prefix=prefix, root=root)
+
+
 @pytest.mark.parametrize("prefix", ["opt/armctl", "/opt/a b", "/opt/50%", "/opt/$HOME", "/opt/a\nb", "/opt/a\n", "/"])
 def test_a_prefix_that_a_unit_would_not_take_is_refused(prefix: str) -> None:
     with pytest.raises(ConfigError, match="absolute path"):
