@@ -88,9 +88,9 @@ class Recorder:
 
     @property
     def log_path(self) -> Path | None:
-        """Final name of the log being written; None while there is none."""
+        """The log being written, a part until it is ended; None while there is none."""
         log = self._files.log
-        return None if log is None else log.path
+        return None if log is None else log.part
 
     def put(self, record: TickRecord) -> None:
         """Record one tick. Never blocks."""

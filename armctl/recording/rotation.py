@@ -122,7 +122,7 @@ class Files:
 
     @property
     def log(self) -> LogWriter | None:
-        """The log being written; for others its path and anchor alone."""
+        """The log being written; for others its part and anchor alone."""
         return self._open.get(LOG)
 
     def new_take(self, path: Path) -> LogWriter:

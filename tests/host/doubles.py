@@ -119,7 +119,7 @@ class MemoryRecorder:
     """Takes by name, notes in order."""
 
     folder: Path = Path("/recordings")
-    log_path: Path | None = Path("/logs/log.mcap")
+    log_path: Path | None = Path("/logs/log.mcap.part")
     problem: str = ""
     dropped_records: int = 0
     records: list[TickRecord] = field(default_factory=list)

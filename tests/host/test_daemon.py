@@ -186,7 +186,7 @@ async def test_the_daemon_says_ready_and_serves_on_a_socket_for_owner_and_group(
         assert status["state"] == "off"
         assert status["pids"] == {"daemon": os.getpid(), "control": 4242}
         log = await b.call(client, "log")
-        assert log == {"path": "/logs/log.mcap", "problem": "", "dropped": 0, "recorder_dropped": 0}
+        assert log == {"path": "/logs/log.mcap.part", "problem": "", "dropped": 0, "recorder_dropped": 0}
 
 
 async def test_commands_and_their_outcome_stand_in_the_log(b: Bench) -> None:

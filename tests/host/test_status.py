@@ -125,7 +125,7 @@ async def test_ticks_the_host_was_too_slow_for_are_counted(limp: Bench) -> None:
     limp.tick(dropped=3)
     limp.tick(dropped=2)
     limp.recorder.dropped_records = 2
-    told = {"path": "/logs/log.mcap", "problem": "", "dropped": 5, "recorder_dropped": 2}
+    told = {"path": "/logs/log.mcap.part", "problem": "", "dropped": 5, "recorder_dropped": 2}
     assert limp.host.status()["log"] == told
     limp.recorder.log_path = None
     assert limp.host.log()["path"] is None

@@ -50,7 +50,7 @@ class Rig:
     def part(self) -> Path:
         """The log being written."""
         assert self.recorder.log_path is not None
-        return self.recorder.log_path.with_name(f"{self.recorder.log_path.name}.part")
+        return self.recorder.log_path
 
     def close(self) -> list[Path]:
         self.recorder.close()

@@ -83,6 +83,12 @@ def test_no_file_is_begun_before_there_is_something_to_record(rig: Rig) -> None:
     assert rig.close() == []
 
 
+def test_the_log_being_written_is_told_by_the_name_that_it_has_on_the_disk(rig: Rig) -> None:
+    rig.put(RECORDS[:3])
+    assert rig.recorder.log_path == rig.logs / "armctl-20250615T150645Z-000001.mcap.part"
+    assert list(rig.logs.iterdir()) == [rig.recorder.log_path]
+
+
 def test_what_was_put_a_second_ago_is_on_the_disk(rig: Rig) -> None:
     for record in RECORDS[:35]:
         rig.put([record])

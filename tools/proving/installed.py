@@ -204,7 +204,7 @@ class Installed:
 
     def logged(self, word: str) -> int:
         """Messages of all logs that hold a word, in whatever piece of a file that is not finished yet."""
-        under_way = self.call("log")["path"] + ".part"
+        under_way = self.call("log")["path"]
         return int(self.machine.must("/opt/armctl/bin/python", "-c", COUNT, under_way, word))
 
     def messages(self, topic: str, *, but: Container[str]) -> Iterator[tuple[int, Any]]:
