@@ -14,7 +14,7 @@ import click
 from armctl.cli.output import ARM, CONFIG, JSON, LINK, PORT, SOCKET, Output, Point, command, kept_option
 from armctl.cli.parameters import parameters
 from armctl.cli.tables import show_rows
-from armctl.errors import ConfigError
+from armctl.errors import ConfigError, NoDaemon
 from armctl.files import load_arm, read_text, socket_path, tokens_path
 
 if TYPE_CHECKING:
@@ -91,7 +91,6 @@ def sim_command(
     faults: tuple[Fault, ...] = (Fault(kind="echo"),) if echo else ()
     if faults_file is not None:
         faults += parse(read_text(faults_file, "faults"), str(faults_file), played.servo_ids)
-    link = (link or default_link()).absolute()
     twin = None if spec_file is None else load_twin(spec_file, played)
     spec, seed = put_together(DEFAULT_SPEC, told.pop("geometry"), told.pop("age"), twin), told["seed"]
     simulated = SimulatedArm(played, seed=seed, spec=spec, faults=Faults(faults, seed=seed))
@@ -99,13 +98,15 @@ def sim_command(
         simulated.set_all(ax12a.RETURN_DELAY, return_delay_us // 2)
     for limit in (ax12a.CW_LIMIT, ax12a.CCW_LIMIT) if factory else ():
         simulated.set_all(limit, limit.default)
-    pty.run(simulated, link=link, ready=partial(output.ready, "port"), **told)
+    pty.run(simulated, link=(link or default_link()).absolute(), ready=partial(output.ready, "port"), **told)
     return 0
 
 
-@command("hand", LINK)
+@command("hand", LINK, SOCKET)
 def hand_command(output: Output, from_m: Point, to_m: Point, seed: int, let_go: bool) -> None:
     """Let the simulator's hand guide the limp arm along a line, wobbling as hands do.
+
+    Where no daemon answers, which would record that, it says so and guides the arm all the same.
 
     Example: armctl teach demo --takes 5 --yes & armctl hand --seed 1
     """
@@ -114,6 +115,10 @@ def hand_command(output: Output, from_m: Point, to_m: Point, seed: int, let_go: 
             simulator.let_go()
             output.result({"holding": False})
             return
+        try:
+            output.client(timeout_s=2.0).close()
+        except NoDaemon as error:
+            output.warn(f"warning: nobody records where the hand leads the arm: {error}")
         plan = simulator.guide(from_m, to_m, seed=seed)
         with output.progress("guiding the arm", plan.duration_s) as show:
             begin_s = time.monotonic()

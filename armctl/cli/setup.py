@@ -257,8 +257,7 @@ def report_command(output: Output, out: Path | None) -> None:
     path = out or Path(f"armctl-report-{datetime.now():%Y%m%d-%H%M%S}.zip")
     logs = None
     with contextlib.suppress(ArmctlError), output.client(timeout_s=2.0) as client:
-        log = client.call("log")["path"]
-        logs = log and Path(log).parent
+        logs = (log := client.call("log")["path"]) and Path(log).parent
         output.follow_daemon()
     files = bundle.write(path, output.config, output.config_file or "", logs, lambda part: output.say(f"  {part}"))
     size_MB = path.stat().st_size / 1e6
@@ -307,12 +306,10 @@ def _refuse_moving(commands: Iterable[Sequence[str]]) -> None:
     from armctl.client import Client
 
     for words in commands:
-        found = re.fullmatch(r"armctl(?:@(.+))?[.]service", words[-1])
-        if words[1] != "restart" or found is None:
-            continue
-        with contextlib.suppress(NoDaemon), Client(served_socket(found[1] or "armctl"), timeout_s=2.0) as client:
-            if (state := client.call("status")["state"]) not in AT_REST:
-                raise refusal("MOVING", unit=words[-1], state=state)
+        if words[1] == "restart" and (found := re.fullmatch(r"armctl(?:@(.+))?[.]service", words[-1])):
+            with contextlib.suppress(NoDaemon), Client(served_socket(found[1] or "armctl"), timeout_s=2.0) as client:
+                if (state := client.call("status")["state"]) not in AT_REST:
+                    raise refusal("MOVING", unit=words[-1], state=state)
 
 
 @command("uninstall")

@@ -3,14 +3,20 @@
 import math
 from collections.abc import Iterator
 from itertools import pairwise
+from pathlib import Path
 from typing import Any, cast
 
 import pytest
 
+from armctl import client
 from armctl.cli.output import Output
 from armctl.cli.teach import Tool
 from armctl.client import Client
 from armctl.errors import RequestRefused
+from armctl.sim import control
+from armctl.sim.hand import Guided
+from tests.cli.conftest import Answer, StandIn, Typed
+from tests.words import missing
 
 Place = tuple[float, float, float]
 START: Place = (0.18, -0.12, 0.1)
@@ -115,3 +121,36 @@ def test_what_a_hand_does_is_told_as_it_goes(monkeypatch: pytest.MonkeyPatch) ->
     assert told[15] == "tool 180, -120, 100 mm  0 mm/s  from the start 0 mm"
     assert told[27].endswith("from the start 120 mm  off the line 0 mm  covered 50%")
     assert told[-1].endswith("from the start 240 mm  off the line 0 mm  covered 100%")
+
+
+GUIDED = Guided(1e-9, 0.0, 1e-9)
+
+
+class NoHand:
+    """A simulator whose hand is done at once."""
+
+    def __init__(self, _: object) -> None: ...
+
+    def __enter__(self) -> "NoHand":
+        return self
+
+    def __exit__(self, *_: object) -> None: ...
+
+    def let_go(self) -> None: ...
+
+    def guide(self, *_: object, seed: int) -> Guided:
+        return GUIDED
+
+
+@pytest.mark.usefixtures("own_folders")
+def test_a_hand_that_nobody_records_is_told_to_a_person_and_leads_the_arm_all_the_same(
+    typed: Typed, answer: Answer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(control, "SimulatorClient", NoHand)
+    told = typed("hand", "--socket", tmp_path / "none.sock").err.replace("\n", " ")
+    wanted = "warning: nobody records where the hand leads the arm: no daemon answers on"
+    assert not missing(told, wanted, str(tmp_path / "none.sock"), "start it with `armctl daemon")
+    assert answer("hand") == GUIDED._asdict()
+    assert "warning" not in typed("hand", "--let-go").err
+    monkeypatch.setattr(client, "Client", StandIn)
+    assert "warning" not in typed("hand").err
