@@ -16,7 +16,7 @@ import mmap
 import struct
 import zlib
 from collections.abc import Callable, Collection, Generator, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -115,13 +115,10 @@ class LogFile(AbstractContextManager["LogFile"]):
 
     def seed(self) -> dict[str, Any]:
         """The seed attachment (see writer.py); empty for others' files."""
-        attachment = self.attachments.get(SEED)
-        if attachment is None or len(attachment.data) > MAX_SEED_BYTES:
-            return {}
-        try:
-            seed = json.loads(attachment.data)
-        except (ValueError, RecursionError):
-            return {}
+        attachment, seed = self.attachments.get(SEED), None
+        if attachment is not None and len(attachment.data) <= MAX_SEED_BYTES:
+            with suppress(ValueError, RecursionError):
+                seed = json.loads(attachment.data)
         return seed if isinstance(seed, dict) else {}
 
     def text(self, name: str) -> str:

@@ -65,7 +65,8 @@ def recover(path: Path, target: Path | None = None, *, disk: Disk = DISK) -> Rec
 def recover_folder(folder: Path, *, disk: Disk = DISK) -> None:
     """Recover every part in a folder, as a daemon does when it starts.
 
-    A part with nothing in it is set aside as NAME.part.broken; one that is being written is left alone.
+    A part with nothing in it is set aside as NAME.part.broken. One that is being written is left alone, and one for
+    which the disk has no room.
     """
     for part in sorted(folder.glob(f"*{PART}")):
         if part.is_symlink() or not part.is_file():
@@ -80,7 +81,11 @@ def recover_folder(folder: Path, *, disk: Disk = DISK) -> None:
         except PartInUse:
             continue
         except LogError as error:
-            _log.error("%s", error)
+            if error.__cause__ is not None:  # the new file could not be written
+                _log.error("%s; %s stays, and the next start tries again", error, part.name)
+                continue
+            text = "%s: it was cut as it began, or is damaged; it is kept as %s%s, and may be deleted"
+            _log.warning(text, error, part.name, BROKEN)
             if part.exists() and not (broken := part.with_name(part.name + BROKEN)).exists():
                 disk.replace(part, broken)
 
@@ -89,6 +94,5 @@ def _free_name(path: Path) -> Path:
     """The log's own name for a part, if it is free; else a name that says what it is, with a number if need be."""
     plain = path.name.removesuffix(PART)
     stem = plain.removesuffix(".mcap")
-    first = plain if path.name.endswith(PART) else f"{stem}-recovered.mcap"
-    names = chain((first, f"{stem}-recovered.mcap"), (f"{stem}-recovered-{number}.mcap" for number in count(2)))
+    names = chain((plain, f"{stem}-recovered.mcap"), (f"{stem}-recovered-{number}.mcap" for number in count(2)))
     return next(free for name in names if not (free := path.with_name(name)).exists())

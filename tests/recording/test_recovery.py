@@ -1,7 +1,10 @@
 """Cut anywhere, with bits flipped anywhere: nothing but true values, and nothing lost that is intact."""
 
+import errno
+import logging
 import os
 import random
+from io import BufferedWriter
 from pathlib import Path
 
 import pytest
@@ -9,6 +12,7 @@ from mcap.reader import make_reader
 
 from armctl.clock import NS_PER_S
 from armctl.recording.compact import compact
+from armctl.recording.disk import Disk
 from armctl.recording.log_file import LogFile, LogMessage
 from armctl.recording.reader import info
 from armctl.recording.recover import recover, recover_folder
@@ -18,6 +22,7 @@ from proving.damage import chunk_places
 from tests.recording.factory import ANCHOR, make_records
 from tests.recording.logs import DISK, messages, spoilt, write
 from tests.recording.refusals import cannot
+from tests.words import missing
 
 RECORDS = make_records(297, keyframe_ticks=100)
 
@@ -151,3 +156,34 @@ def test_a_part_without_an_intact_message_is_not_recovered(tmp_path: Path, log: 
     part = put(tmp_path, log.read_bytes()[:20_000])
     cannot(recover, part, why="no intact message")
     assert [*tmp_path.iterdir()] == [part]
+
+
+@pytest.mark.parametrize("size_bytes", [0, 5, 20_000])
+def test_a_part_that_was_cut_as_it_began_is_set_aside_and_no_error(
+    size_bytes: int, tmp_path: Path, log: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    put(tmp_path, log.read_bytes()[:size_bytes])
+    recover_folder(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.mcap.part.broken"]
+    [(_, level, said)] = caplog.record_tuples
+    assert level == logging.WARNING
+    assert not missing(said, str(tmp_path / "a.mcap.part"), "kept as a.mcap.part.broken, and may be deleted")
+
+
+def test_a_part_for_which_the_disk_has_no_room_stays_for_the_next_start(
+    tmp_path: Path, part: bytes, whole: list[LogMessage], caplog: pytest.LogCaptureFixture
+) -> None:
+    """Before, it was set aside as broken, and nothing of a whole log was recovered any more."""
+
+    class Full(Disk):
+        def create(self, path: Path) -> BufferedWriter:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    cut = put(tmp_path, part)
+    recover_folder(tmp_path, disk=Full())
+    assert [(path, path.read_bytes()) for path in tmp_path.iterdir()] == [(cut, part)]
+    [(_, level, said)] = caplog.record_tuples
+    assert level == logging.ERROR
+    assert not missing(said, "a.mcap", "No space left on device", "a.mcap.part stays, and the next start tries again")
+    recover_folder(tmp_path)
+    assert messages(tmp_path / "a.mcap") == whole
