@@ -67,8 +67,7 @@ class Identification:
                 if self._port.clock.now_ns() + self._needs_ns > until_ns:
                     return None
         except StopIteration as end:
-            found: tuple[Problem, ...] = end.value
-            return found
+            return tuple(end.value)
 
 
 def identify(bus: ServoBus, joints: Sequence[ServoJoint]) -> Steps[tuple[Problem, ...]]:

@@ -148,8 +148,5 @@ def _along_line(
 def _out_of_reach(arm: ArmConfig, chain: SerialChain, A: FloatArray, B: FloatArray) -> list[str]:
     """What to say of an end that no posture within the joint limits reaches, with the nearest point that one does."""
     limits = np.array([joint.limits_rad for joint in arm.joints[: chain.n]])
-    reasons = []
-    for name, end in (("A", A), ("B", B)):
-        if missing := out_of_reach(chain, end, limits, arm.floor_m, np.random.default_rng(0)):
-            reasons.append(f"{name} {point_text(end)} is {missing}")
-    return reasons
+    far = [(X, out_of_reach(chain, X, limits, arm.floor_m, np.random.default_rng(0))) for X in (A, B)]
+    return [f"{name} {point_text(X)} is {missing}" for name, (X, missing) in zip("AB", far, strict=True) if missing]

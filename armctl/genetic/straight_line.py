@@ -169,7 +169,13 @@ class _Line:
     ) -> None:
         self._recordings, self._arm, self._chain, self._request = recordings, arm, chain, request
         self._ends = A, B = np.array(request.from_m), np.array(request.to_m)
-        _refuse_below_floor(arm, A, B)
+        reasons = [
+            f"{name} lies at height {z:.3f} m, below the floor at {arm.floor_m:.3f} m; raise it"
+            for name, z in zip("AB", (A[2], B[2]), strict=True)
+            if z < arm.floor_m
+        ]
+        if reasons:
+            raise RequestRefused("BAD_REQUEST", reasons)
         self._limits = np.array([joint.limits_rad for joint in arm.joints[: chain.n]])
 
     def candidates(self, nominal_s: float) -> Candidates:
@@ -256,16 +262,6 @@ def _least_duration_s(kept: Callable[[float], bool], begin_s: float) -> float | 
         middle = (low + high) // 2
         low, high = (low, middle) if kept(middle / 10.0) else (middle, high)
     return high / 10.0
-
-
-def _refuse_below_floor(arm: ArmConfig, A: FloatArray, B: FloatArray) -> None:
-    reasons = [
-        f"{name} lies at height {point[2]:.3f} m, below the floor at {arm.floor_m:.3f} m; raise it"
-        for name, point in (("A", A), ("B", B))
-        if point[2] < arm.floor_m
-    ]
-    if reasons:
-        raise RequestRefused("BAD_REQUEST", reasons)
 
 
 def _evolve(

@@ -86,9 +86,7 @@ class Account:
         if size <= SHORT_BYTES:
             return paid, 0.0 if self._user.short.take(now_s) else REST_S
         paid = paid and self._user.long.take(now_s, tokens)
-        if paid:
-            return True, 0.0
-        return False, REST_S if self._user.unpaid.take(now_s) else LONG_REST_S
+        return paid, 0.0 if paid else REST_S if self._user.unpaid.take(now_s) else LONG_REST_S
 
 
 class Guest(Protocol):

@@ -156,13 +156,10 @@ def load_takes(arm: ArmConfig, paths: Sequence[Path]) -> list[recordings.Recordi
         RequestRefused: code FOREIGN_LOG, a recording is another arm's; names each.
     """
     loaded = [recordings.load(path) for path in paths]
-    foreign = []
-    for take in loaded:
-        if (take.arm_id, take.calibration_hash) != (arm.arm_id, arm.calibration_hash):
-            made = f"recording {take.name} was made with arm {take.arm_id}, calibration {take.calibration_hash}"
-            foreign.append(f"{made}; this is {arm.arm_id}, {arm.calibration_hash}")
-    if foreign:
-        raise RequestRefused("FOREIGN_LOG", foreign)
+    this = arm.arm_id, arm.calibration_hash
+    if foreign := [take for take in loaded if (take.arm_id, take.calibration_hash) != this]:
+        made = "recording {0.name} was made with arm {0.arm_id}, calibration {0.calibration_hash}; this is {1}, {2}"
+        raise RequestRefused("FOREIGN_LOG", [made.format(take, *this) for take in foreign])
     return loaded
 
 

@@ -27,16 +27,12 @@ class Numbers(NamedTuple):
     root: Callable[[Any, Any], Any]
 
 
-def _root(x: float, slack: float) -> float:
-    return math.sqrt(x) if x >= 0.0 else 0.0 if x >= -slack else math.nan
-
-
 FLOATS = Numbers(
     *(math.cos, math.sin, math.atan2, math.copysign),
     where=lambda truth, yes, no: yes if truth else no,
     within=lambda x, low, high: min(max(x, low), high),
     wrapped=lambda angle: math.remainder(angle, 2.0 * math.pi),
-    root=_root,
+    root=lambda x, slack: math.sqrt(x) if x >= 0.0 else 0.0 if x >= -slack else math.nan,
 )
 ARRAYS = Numbers(
     *(np.cos, np.sin, np.arctan2, np.copysign, np.where, np.clip),
