@@ -28,7 +28,7 @@ import numpy as np
 from armctl.commissioning.calibration import MAX_RMS_MM, Touch, check_points, mean_ticks, recalibrated, slopes
 from armctl.commissioning.texts import refusal
 from armctl.config import ArmConfig, JointConfig, validate
-from armctl.control.jog import joint_velocities
+from armctl.control.jog import led
 from armctl.dynamixel.ax12a import TICK_RAD
 from armctl.errors import UnreachableTarget
 from armctl.kinematics import robots
@@ -38,6 +38,7 @@ from armctl.kinematics.solution import within_limits
 from armctl.kinematics.target import point_target
 from armctl.kinematics.transform import FloatArray, rpy_from_matrix
 from armctl.kinematics.urdf_reader import table_row
+from armctl.messages import Jog
 from armctl.trajectory.collision import floor_clearance, judged_pairs, link_clearance, link_points
 from armctl.trajectory.preflight import DrivenArm
 from armctl.trajectory.target import postures_at
@@ -115,25 +116,25 @@ def ways_above(arm: ArmConfig, points_m: Sequence[Point], up_m: float) -> list[W
         with suppress(UnreachableTarget):
             above = point_target(np.add(point_m, (0.0, 0.0, up_m)))
             found = postures_at(above, rest_rad, DrivenArm(arm, robot, 1.0))
-            led = [q for q in (one[: robot.chain.n] for one in found) if _leads_down(arm, robot, q, up_m)]
-            ways += [Way(number, point_m, k, tuple(q)) for k, q in enumerate(led[:POSTURES])]
+            kept = [q[: robot.chain.n] for q in found if _leads_down(arm, robot, q, up_m)]
+            ways += [Way(number, point_m, k, tuple(q)) for k, q in enumerate(kept[:POSTURES])]
     return ways
 
 
 def _leads_down(arm: ArmConfig, robot: Robot, q: Sequence[float], up_m: float) -> bool:
-    """Whether keys lead the tip straight down so far, millimetre by millimetre.
+    """Whether keys lead the tip of an arm at q, shape (joints,), straight down so far, millimetre by millimetre.
 
     No joint may come to its limit, no link to another or to the floor, neither there nor on the way.
     """
-    limits_rad = np.array([joint.limits_rad for joint in arm.joints[: robot.chain.n]])
+    n, limits_rad = robot.chain.n, np.array([joint.limits_rad for joint in arm.joints])
     way = [np.array(q)]
     for _ in range(round(up_m / LED_M)):
-        way.append(way[-1] + joint_velocities(robot, way[-1].tolist(), (0.0, 0.0, -LED_M)))
-    points = link_points(robot.chain, np.array(way))
+        way.append(way[-1] + led(arm, robot, way[-1].tolist(), Jog(0, (), (0.0, 0.0, -LED_M))))
+    points = link_points(robot.chain, np.array(way)[:, :n])
     gaps_m = link_clearance(points, judged_pairs(points[0], arm.link_radius_m), arm.link_radius_m)
     clear = (gaps_m >= 0.0).all() and (floor_clearance(points, arm.floor_m, arm.link_radius_m) >= -NEAR_M).all()
-    led_m = tool_position(robot.chain, way[0]) - tool_position(robot.chain, way[-1])
-    return bool(clear and all(within_limits(one, limits_rad) for one in way) and up_m - led_m[2] <= NEAR_M)
+    within = within_limits(np.array(way)[:, :n], limits_rad[:n]).all()
+    return bool(clear and within and up_m - (points[0, -1, 2] - points[-1, -1, 2]) <= NEAR_M)
 
 
 def sheet_points(arm: ArmConfig, up_m: float) -> list[Point]:

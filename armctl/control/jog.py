@@ -7,10 +7,11 @@ Rules.
    a new beginning.
 2. No joint turns faster than `SPEED_RAD_S` or its own limit, no tool faster than its own limit; a velocity that is too
    high is scaled as a whole, so that its direction stays.
-3. A joint nears its limit no faster than it can still stop before it. A tool that is led along a line waits as a
+3. A tool is led straight, or not at all: where the joints would lead it aside, they turn slower, until it stands.
+4. A joint nears its limit no faster than it can still stop before it. A tool that is led along a line waits as a
    whole for the joint that has to.
-4. No link is led below the floor: the place where the arm would stop is looked at before every goal.
-5. A servo that lags behind is waited for, by the whole arm, from rest.
+5. No link is led below the floor: the place where the arm would stop is looked at before every goal.
+6. A servo that lags behind is waited for, by the whole arm, from rest.
 """
 
 import math
@@ -23,7 +24,7 @@ from armctl.control.machine import LATCHED, Jogging, Phase, Trigger
 from armctl.control.motion import aimed, set_off, share_of_step, trim
 from armctl.control.tick import Tick
 from armctl.errors import IllegalTransition, RequestRefused
-from armctl.kinematics.chain import jacobian
+from armctl.kinematics.chain import jacobian, tool_position
 from armctl.kinematics.robots.robot import Robot
 from armctl.messages import NS_PER_S, Event, Jog
 from armctl.trajectory.collision import floor_clearance, link_points
@@ -39,17 +40,23 @@ SPEED_RAD_S = math.radians(20.0)
 ACCELERATION_RAD_S2 = math.radians(200.0)
 # Damping of the least squares that turn a tool velocity into joint velocities: (1 cm/rad)^2 keeps them finite.
 DAMPING_M2 = 1e-4
+# How a tool is led, by the first of these that leads it straight: damping, bend [rad] and share of the speed. Damping
+# leads it aside where joints hardly move it along one direction: the arm is stretched, or the tool over the base. There
+# is little of it then, and all joints count as bent a hair more, without which a stretched arm would bend no way.
+LEADS = ((DAMPING_M2, 0.0, 1.0), *((1e-6, 1e-3, 0.5**halvings) for halvings in range(6)))
+# The look ahead. Straight is what goes aside by no more than a share of the way ahead, or, on the way in from the edge
+# of the reach, by what no servo resolves. A speed below the last of these, or half of what is asked for, is none.
+AHEAD_S, ASIDE, ASIDE_M, LEAST_M_S = 0.15, 0.1, 1e-4, 3e-4
 
 
 def begin(s: Tick, command: Jog) -> None:
     """Begin a jog from where the arm is told to be."""
     s.state.target(Trigger.JOG)
-    _check(s.arm, command)
-    s.go(Trigger.JOG)
     position = s.wanted_rad()
+    _check(s, command, position)
+    s.go(Trigger.JOG)
     set_off(s)
-    still = (0.0,) * len(position)
-    s.state.jog = Jogging(position, still, command.joints_rad_s, command.tool_m_s, s.inputs.now_ns)
+    s.state.jog = Jogging(position, (0.0,) * len(position), command.joints_rad_s, command.tool_m_s, s.inputs.now_ns)
     s.events.append(Event("info", "JOG_BEGIN", "a jog begins"))
 
 
@@ -58,17 +65,22 @@ def heartbeat(s: Tick, command: Jog) -> None:
     jog = s.state.jog
     if s.state.phase is not Phase.JOGGING or jog is None or jog.stop_code:
         raise IllegalTransition("the jog has ended; begin another one")
-    _check(s.arm, command)
+    _check(s, command, jog.position_rad)
     jog.joints_rad_s, jog.tool_m_s = command.joints_rad_s, command.tool_m_s
     jog.heard_ns, jog.rate = s.inputs.now_ns, 1.0
 
 
-def _check(arm: ArmConfig, command: Jog) -> None:
-    joints, tool, n = command.joints_rad_s, command.tool_m_s, len(arm.joints)
+def _check(s: Tick, command: Jog, q: Sequence[float]) -> None:
+    joints, tool, n = command.joints_rad_s, command.tool_m_s, len(s.arm.joints)
     if not all(map(math.isfinite, (*joints, *tool))):
         raise RequestRefused("LIMIT", "a jog needs finite velocities")
     if (len(joints), len(tool)) not in ((n, 0), (0, 3)):
         raise RequestRefused("LIMIT", f"a jog needs the velocity of each of the {n} joints, or of the tool (x, y, z)")
+    if any(tool) and not any(led(s.arm, s.robot, q, command)):
+        x, y, z = tool_position(s.robot.chain, np.array(q[: s.robot.chain.n])).tolist()
+        no_way = f"from ({x:.3f}, {y:.3f}, {z:.3f}) m the tool can go no farther that way without going aside"
+        why = "the arm is stretched out there, or the tool is over its base"
+        raise RequestRefused("UNREACHABLE", f"{no_way}: {why}; jog another way, or turn a joint first")
 
 
 def advance_jog(s: Tick, jog: Jogging) -> None:
@@ -85,8 +97,7 @@ def advance_jog(s: Tick, jog: Jogging) -> None:
         if rests and (jog.stop_code or silent_ns > END_NS):
             s.finish_jog(jog.stop_code or "NO_HEARTBEAT")
         return
-    J = _linear_jacobian(s.robot, jog.position_rad)
-    velocity = _slower(s.arm, J, jog.joints_rad_s or _joint_velocities(J, jog.tool_m_s, len(jog.position_rad)))
+    velocity = led(s.arm, s.robot, jog.position_rad, jog)
     # All joints change speed in the same proportion, which keeps a tool on its line from the start.
     changes = [b - a for a, b in zip(jog.velocity_rad_s, velocity, strict=True)]
     most = max(map(abs, changes))
@@ -127,23 +138,41 @@ def _call_back(s: Tick, jog: Jogging) -> None:
     s.send_goal(goal, AT_ONCE)
 
 
-def joint_velocities(robot: Robot, q: Sequence[float], tool_m_s: Sequence[float]) -> list[float]:
+def led(arm: ArmConfig, robot: Robot, q: Sequence[float], asked: Jog | Jogging) -> list[float]:
+    """Joint velocities [rad/s] that do what is asked as fast as joints and tool may; all 0: none lead a tool straight.
+
+    Args:
+        q: Where the joints are [rad], shape (joints,).
+    """
+    for damping_m2, bend_rad, share in LEADS:
+        # Rows x, y, z of the tool point's velocity for each joint of the chain [m/rad].
+        J: list[list[float]] = jacobian(robot.chain, np.array(q[: robot.chain.n]) + bend_rad)[:3].tolist()
+        wanted = asked.joints_rad_s or _joint_velocities(J, asked.tool_m_s, len(q), damping_m2)
+        velocity = [share * v for v in _slower(arm, J, wanted)]
+        if asked.joints_rad_s or _leads_straight(robot, q, velocity, asked.tool_m_s):
+            return velocity
+    return [0.0] * len(q)
+
+
+def _leads_straight(robot: Robot, q: Sequence[float], velocity: Sequence[float], tool_m_s: Sequence[float]) -> bool:
+    """Whether the tool goes the way that was asked for, as places ahead show."""
+    rows = np.array([[a + share * AHEAD_S * v for a, v in zip(q, velocity, strict=True)] for share in (0.0, 0.5, 1.0)])
+    places_m = tool_position(robot.chain, rows[:, : robot.chain.n]).tolist()
+    speed_m_s = math.sqrt(_dot(tool_m_s, tool_m_s)) or 1.0
+    begin_m, middle_m, end_m = (_dot(place, tool_m_s) / speed_m_s for place in places_m)
+    along_m, way_m = end_m - begin_m, [b - a for a, b in zip(places_m[0], places_m[2], strict=True)]
+    aside_m = math.sqrt(max(0.0, _dot(way_m, way_m) - along_m * along_m))
+    most_m = max(ASIDE * along_m, ASIDE_M if end_m - middle_m > middle_m - begin_m else 0.0)
+    return aside_m <= most_m and along_m >= AHEAD_S * min(LEAST_M_S, 0.5 * speed_m_s)
+
+
+def _joint_velocities(J: list[list[float]], tool_m_s: Sequence[float], joints: int, damping_m2: float) -> list[float]:
     """Joint velocities that move the tool point so: damped least squares, J^T (J J^T + d I)^-1 v.
 
     Written out, because a linear algebra library may round differently on another machine, and logs are replayed there.
     """
-    return _joint_velocities(_linear_jacobian(robot, q), tool_m_s, len(q))
-
-
-def _linear_jacobian(robot: Robot, q: Sequence[float]) -> list[list[float]]:
-    """Rows x, y, z of the tool point's velocity for each joint of the chain [m/rad]."""
-    J: list[list[float]] = jacobian(robot.chain, np.array(q[: robot.chain.n]))[:3].tolist()
-    return J
-
-
-def _joint_velocities(J: list[list[float]], tool_m_s: Sequence[float], joints: int) -> list[float]:
     (a, b, c), (_, d, e), (_, _, f) = ([_dot(row, column) for column in J] for row in J)
-    a, d, f = a + DAMPING_M2, d + DAMPING_M2, f + DAMPING_M2
+    a, d, f = a + damping_m2, d + damping_m2, f + damping_m2
     # The inverse of a symmetric 3x3 matrix by its cofactors.
     A, B, C = d * f - e * e, c * e - b * f, b * e - c * d
     D, E, F = a * f - c * c, b * c - a * e, a * d - b * b
@@ -175,11 +204,9 @@ def _within_limits(s: Tick, jog: Jogging, velocity: Sequence[float]) -> list[flo
     """The velocity from which every joint can still stop before its limit."""
     shares, period_s = [], s.period_s
     for q, v, joint in zip(jog.position_rad, velocity, s.arm.joints, strict=True):
-        low, high = joint.limits_rad
-        left = max(0.0, high - q if v > 0.0 else q - low)
+        left = max(0.0, joint.limits_rad[1] - q if v > 0.0 else q - joint.limits_rad[0])
         # v T + v^2 / (2 a) = left, where T is the tick that is spent at v before it can change.
-        a = ACCELERATION_RAD_S2
-        most = a * (math.sqrt(period_s * period_s + 2.0 * left / a) - period_s)
+        most = ACCELERATION_RAD_S2 * (math.sqrt(period_s * period_s + 2.0 * left / ACCELERATION_RAD_S2) - period_s)
         shares.append(min(1.0, most / abs(v)) if v else 1.0)
     if jog.tool_m_s:
         shares = [min(shares)] * len(shares)

@@ -20,7 +20,7 @@ from typing import Any
 from armctl import messages
 from armctl.clock import NS_PER_S, Clock
 from armctl.config import ArmConfig
-from armctl.control.jog import joint_velocities
+from armctl.control.jog import led
 from armctl.control.machine import ADVICE
 from armctl.errors import ConfigError, IllegalTransition, RequestRefused
 from armctl.host.exchange import ANSWER_S, COMMANDS, Exchange, restarting
@@ -243,7 +243,8 @@ class Host:
         """One heartbeat of a jog; answered by the next tick, which is when the next one is due.
 
         Raises:
-            RequestRefused: BUSY, a joint stands at its limit, a link would touch another, or the jog has ended.
+            RequestRefused: BUSY, a joint stands at its limit, the tool can go no farther straight on, a link would
+                touch another, or the jog has ended.
         """
         with self.leases.commanding(client, "jog") as lease:
             if begin:
@@ -254,7 +255,7 @@ class Host:
                 q_now = self.latest.outputs.wanted_rad
             self.exchange.forget_hold()  # a stop from now on is a new one
             if len(joints_rad_s) == len(q_now) or len(tool_m_s) == 3:
-                ahead = joints_rad_s or joint_velocities(self.robot, q_now, tool_m_s)
+                ahead = led(self.arm, self.robot, q_now, messages.Jog(0, joints_rad_s, tool_m_s))
                 refuse_at_limit(q_now, ahead, self.arm, led=not joints_rad_s)
                 refuse_collision(q_now, ahead, self.arm, self.robot)
             await self.exchange.request(lambda request_id: messages.Jog(request_id, joints_rad_s, tool_m_s, begin))

@@ -91,10 +91,8 @@ class SphericalWrist:
             return []
         found = [q for q in self._branches(cast(Frame, tuple(zip(*T[:3], strict=True))), FLOATS) if q[5] == q[5]]
         _, cos_bend, sin_bend = self._forearm
-        for _, _, q3, _, q5, _ in found:
-            if min(abs(math.sin(q3) * cos_bend + math.cos(q3) * sin_bend), abs(math.sin(q5))) < EDGE:
-                return []
-        return found
+        edges = [min(abs(math.sin(q[2]) * cos_bend + math.cos(q[2]) * sin_bend), abs(math.sin(q[4]))) for q in found]
+        return found if all(edge >= EDGE for edge in edges) else []
 
     def _branches(self, T: Frame, on: Numbers) -> Iterator[tuple[Any, ...]]:
         """Six angles of each branch, NaN where there is none, of the columns of a pose, or of many."""

@@ -1,6 +1,7 @@
 """Jogging: heartbeats, speeds, limits and floor, judged by the goals that go out."""
 
 import math
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from armctl.control.jog import SPEED_RAD_S, joint_velocities
+from armctl.control.jog import SPEED_RAD_S, led
 from armctl.control.motion import LEAD_TICKS
 from armctl.dynamixel import ax12a
 from armctl.files import load_arm
@@ -25,10 +26,10 @@ BASE = (0.2, 0.0, 0.0, 0.0, 0.0, 0.0)
 MOST_TICKS = math.ceil(SPEED_RAD_S * PERIOD_S / ax12a.TICK_RAD) + 1
 
 
-def bent() -> IdealArm:
-    """Holding where the tool is free to move any way."""
+def bent(at_deg: Sequence[float] = (0.0, 87.0, -65.0, -64.0, -33.0, 0.0)) -> IdealArm:
+    """Holding, by itself where the tool is free to move any way."""
     arm = IdealArm()
-    for index, degrees in enumerate((0.0, 87.0, -65.0, -64.0, -33.0, 0.0)):
+    for index, degrees in enumerate(at_deg):
         tick = round(arm.arm.joints[index].tick(math.radians(degrees)))
         arm.put(index, ax12a.PRESENT_POSITION, tick)
         arm.put(index, ax12a.GOAL, tick)
@@ -233,11 +234,83 @@ def test_a_tool_is_led_along_the_axis(axis: int, direction: tuple[float, float, 
     assert np.abs(np.delete(moved, axis)).max() < 0.006
 
 
+# How high the shoulder is, and how long the stretched arm from there on.
+SHOULDER_M, STRETCHED_M = 0.1, 0.38
+# The arm as it is bent, and how its tool is led to the edge of its reach.
+EDGES = [
+    ((20.0, 40.0, -8.0, -6.0, -5.0, 0.0), (1.0, 0.0, 0.0)),
+    ((20.0, 40.0, -8.0, -6.0, -5.0, 0.0), (0.0, 0.0, 1.0)),
+    ((0.0, 45.0, -25.0, -15.0, -10.0, 0.0), (1.0, 0.0, 0.0)),
+    ((0.0, 45.0, -25.0, -15.0, -10.0, 0.0), (0.0, 1.0, 0.0)),
+    ((0.0, 45.0, -25.0, -15.0, -10.0, 0.0), (0.0, 0.6, 0.8)),
+    ((30.0, 85.0, -10.0, -10.0, -5.0, 0.0), (0.0, 0.0, 1.0)),
+]
+
+
+def wanted_tool(arm: IdealArm) -> np.ndarray:
+    """Where the tool is told to be, which is not rounded to ticks."""
+    assert arm.outputs is not None
+    return tool_position(arm.robot.chain, np.array(arm.outputs.wanted_rad[: arm.robot.chain.n]))
+
+
+@pytest.mark.parametrize("speed_m_s", [0.002, 0.03, 0.2])
+@pytest.mark.parametrize(("at_deg", "way"), EDGES)
+def test_at_the_edge_of_the_reach_the_tool_goes_straight_on_and_stops(
+    at_deg: Sequence[float], way: Sequence[float], speed_m_s: float
+) -> None:
+    arm = bent(at_deg)
+    begin, velocity = tool(arm), tuple(speed_m_s * part for part in way)
+    places = [begin]
+    while (reply := arm.ask(Jog(arm.tick + 100, (), velocity, begin=len(places) == 1))).ok:
+        places.append(wanted_tool(arm))
+        assert len(places) < 3000, "it neither arrives nor is it told why"
+    x, y, z = places[-1].round(3)
+    assert (reply.code, reply.message.split(" m ")[0]) == ("UNREACHABLE", f"from ({x:.3f}, {y:.3f}, {z:.3f})")
+    moved = np.array(places) - begin
+    along = moved @ way
+    assert np.linalg.norm(moved - along[:, None] * way, axis=1).max() < 0.006  # of up to 0.14 m
+    assert (np.diff(along) > 0.0).all(), "it never goes back"
+    far_m = math.dist(places[-1], (0.0, 0.0, SHOULDER_M))
+    assert STRETCHED_M - 0.002 < far_m < STRETCHED_M + 1e-9
+    arm.run_ticks(8)
+    assert arm.mode() is Mode.HOLDING
+    # Called back a hair, it goes on by no more than that.
+    codes = [arm.ask(Jog(arm.tick + 5000, (), velocity, begin=k == 0)).code for k in range(8)]
+    assert "UNREACHABLE" in codes
+    assert np.linalg.norm(wanted_tool(arm) - places[-1]) < 0.001
+    arm.run_ticks(8)
+    # And the same way back.
+    jog(arm, 20, tool_m_s=tuple(-part for part in velocity))
+    returned = wanted_tool(arm) - places[-1]
+    assert returned @ way < -min(0.01, 0.5 * speed_m_s)
+    assert np.linalg.norm(returned - (returned @ way) * np.array(way)) < 0.006
+
+
+# Stretched out as far as whole ticks go, and how it is led in.
+INWARD = [
+    ((0.0, 45.0, 0.0, 0.0, 0.0, 0.0), (-1.0, 0.0, 0.0)),
+    ((0.0, 45.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, -1.0)),
+    ((0.0, 90.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, -1.0)),
+]
+
+
+@pytest.mark.parametrize(("at_deg", "way"), INWARD)
+def test_a_stretched_arm_is_led_in_and_not_out(at_deg: Sequence[float], way: Sequence[float]) -> None:
+    arm = bent(at_deg)
+    outward = tuple(-0.03 * part for part in way)
+    assert arm.ask(Jog(5, (), outward, begin=True)).code == "UNREACHABLE"
+    begin = tool(arm)
+    jog(arm, 20, tool_m_s=tuple(0.03 * part for part in way))
+    moved = wanted_tool(arm) - begin
+    assert moved @ way > 0.03
+    assert np.linalg.norm(moved - (moved @ way) * np.array(way)) < 0.002
+
+
 def test_joint_velocities_give_the_tool_velocity_away_from_singular_poses() -> None:
     arm = bent()
     q = arm.positions_rad()
     wanted = np.array([0.01, -0.02, 0.03])
-    found = joint_velocities(arm.robot, q, wanted.tolist())
+    found = led(arm.arm, arm.robot, q, Jog(1, tool_m_s=tuple(wanted.tolist())))
     J = jacobian(arm.robot.chain, np.array(q[:5]))[:3]
     assert found == pytest.approx([*np.linalg.solve(J.T @ J + 1e-4 * np.eye(5), J.T @ wanted), 0.0], rel=1e-6)
     assert J @ np.array(found[:5]) == pytest.approx(wanted, rel=0.1)

@@ -393,6 +393,21 @@ async def test_a_tool_is_led_nowhere_by_a_joint_at_its_limit(bench: Bench) -> No
     assert await bench.beat(bench.anna, lead=(0.0, 0.05, 0.0), begin=True) == {"state": "jogging"}
 
 
+async def test_a_tool_that_is_led_to_the_edge_of_its_reach_is_told_where_and_what_to_do(bench: Bench) -> None:
+    """Before, it was accepted for as long as somebody asked, and the tool slid aside."""
+    off = []
+    where = r"from \(0\.\d+, -?0\.000, 0\.\d+\) m"
+    with refused("UNREACHABLE", f"{where} the tool can go no farther that way .* jog another way, or turn a joint"):
+        for k in range(400):
+            await bench.beat(bench.anna, lead=(0.05, 0.0, 0.0), begin=k == 0)
+            off.append(bench.host.status()["tool"]["position_m"])
+    x, y, z = np.array(off).T
+    assert x[-1] - x[0] > 0.1
+    assert max(abs(y).max(), abs(z - z[0]).max()) < 0.012  # a tick of each of five joints is 6 mm
+    await bench.until(lambda: bench.arm.mode() is Mode.HOLDING)
+    assert await bench.beat(bench.anna, lead=(-0.05, 0.0, 0.0), begin=True) == {"state": "jogging"}
+
+
 def way(request: MoveRequest, q_now: list[float]) -> list[float]:
     """Where a move of the paper's arm ends."""
     arm = load_arm("ax12-line")
