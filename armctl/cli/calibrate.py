@@ -35,8 +35,6 @@ ABOVE_M, LED_M_S = 0.03, 0.01
 # How many ticks it is looked at where it stands.
 LOOKS = 20
 ASKED = ("armctl calibrate", "or give --readings FILE")
-# With fewer points nobody has measured how good a calibration is.
-FEW = 8
 # Keys at each point, and what they are for.
 KEYS = "s: skip this point; b: take the last touch back"
 
@@ -130,7 +128,7 @@ def _draw_sheet(output: Output, file: Path, points: Path | None, touches: int, *
     places = calibration.read_points(points) if points else holding.sheet_points(arm, ABOVE_M)
     calibration.check_points(arm, places * touches)
     doubts = _not_led_onto(places, holding.ways_above(arm, places, ABOVE_M))
-    doubts += [said("few", points=len(places), wanted=FEW)] * (len(places) < FEW)
+    doubts += [said("few", points=len(places), wanted=holding.FEW)] * (len(places) < holding.FEW)
     for doubt in doubts:
         output.warn(f"warning: {doubt}")
     if points is None:

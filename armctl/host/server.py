@@ -327,10 +327,11 @@ class Server:
         connection.asked = True
         try:
             method = self._admit(connection, request, paid)
-            params = _parameters(method, request)
-        except (ProtocolError, RequestRefused) as error:
+            params = validate(method.params, request.params, request.method)
+        except (ConfigError, ProtocolError, RequestRefused) as error:
+            told = ProtocolError(jsonrpc.INVALID_PARAMS, str(error)) if isinstance(error, ConfigError) else error
             if request.answered:
-                connection.send(jsonrpc.error_line(request.id, error))
+                connection.send(jsonrpc.error_line(request.id, told))
             return
         task = asyncio.create_task(_serve(connection, request, method, params))
         connection.requests.add(task)
@@ -355,13 +356,6 @@ class Server:
 
     def _now_s(self) -> float:
         return self.clock.now_ns() / NS_PER_S
-
-
-def _parameters(method: Method, request: Request) -> BaseModel:
-    try:
-        return validate(method.params, request.params, request.method)
-    except ConfigError as error:
-        raise ProtocolError(jsonrpc.INVALID_PARAMS, str(error)) from error
 
 
 async def _serve(connection: Connection, request: Request, method: Method, params: BaseModel) -> None:

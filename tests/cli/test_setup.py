@@ -496,7 +496,7 @@ def test_a_sheet_of_points_is_drawn_for_an_arm_and_has_its_points_beside_it(
     assert "--sheet draws a sheet" in typed("calibrate", "--sheet", sheet, "--sag", status=2).err
     own.write_text("0.1,0,0\n0.2,0,0\n")
     thin = ("calibrate", "--sheet", sheet, "--points", own)
-    assert "too few touches: 4, at least 5" in typed(*thin, status=1).err
+    assert "too few touches: 4, at least 5 are needed; give points that the arm reaches" in typed(*thin, status=1).err
     assert "too few different points: 2" in typed(*thin, "--touches", "3", status=1).err
 
 

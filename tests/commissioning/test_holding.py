@@ -4,6 +4,7 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -27,6 +28,7 @@ from armctl.trajectory.approach import approach_trajectory
 from armctl.trajectory.preflight import DrivenArm, preflight_motion
 from tests.commissioning.bench import postures
 from tests.host.doubles import refused
+from tests.mounted import mounted
 
 ARM = load_arm("ax12-line")
 ARMS = ("ax12-line", "phantomx-pincher", "crane-plus-v2", "phantomx-reactor", "xiang-6dof")
@@ -233,6 +235,15 @@ def test_from_every_way_above_a_point_keys_lead_the_tip_down_to_it() -> None:
             q = q + J.T @ np.linalg.solve(J @ J.T + 1e-4 * np.eye(3), [0.0, 0.0, -1e-3])
             assert ((limits[:, 0] < q) & (q < limits[:, 1])).all(), way
         assert np.linalg.norm(tool_position(chain, q) - way.point_m) < 8e-3, way
+
+
+def test_a_sheet_for_an_arm_that_hangs_lies_as_high_as_the_arm_comes_down(tmp_path: Path) -> None:
+    """Before, it had no point: the table is 0.1 m below what this arm reaches."""
+    arm = load_arm(mounted(tmp_path, "hanging"))
+    points = holding.sheet_points(arm, 0.03)
+    assert len(points) >= holding.FEW
+    assert len({z for _, _, z in points}) == 2, "at two heights"
+    assert {way.number for way in holding.ways_above(arm, points, 0.03)} == set(range(1, len(points) + 1))
 
 
 def test_every_way_above_a_point_can_be_gone_from_rest() -> None:
