@@ -105,7 +105,7 @@ def stock(folder: Path, before: Stock = Stock()) -> Stock:
                     log = StoredLog(folder, entry.name, size, _epoch_s(match[2]), number, entry.inode())
                     found[match[1]].append(log)
     for logs in found.values():
-        logs.sort(key=lambda log: (log.number, log.begin_s, len(log.name), log.name))
+        logs.sort(key=_order)
     return Stock(tuple(found[LOG]), tuple(found[FAULT]), part_bytes, highest)
 
 
@@ -116,6 +116,10 @@ def _epoch_s(stamp: str) -> int:
         return calendar.timegm(tuple(map(int, parts)))  # a tenth of what strptime takes
     except ValueError:  # digits that are no time
         return 0
+
+
+def _order(log: StoredLog) -> tuple[int, int, int, str]:
+    return log.number, log.begin_s, len(log.name), log.name
 
 
 def ages_s(logs: Sequence[StoredLog], max_age_s: float) -> list[float]:
