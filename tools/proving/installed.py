@@ -166,6 +166,10 @@ class Installed:
         [control] = self.controls(self.main_pid())
         return self.machine.read(f"/proc/{control}/stat").rpartition(")")[2].split()[38]
 
+    def precedence(self) -> str:
+        """Niceness of the daemon's session, by which Linux weighs it against other sessions."""
+        return self.machine.read(f"/proc/{self.main_pid()}/autogroup").split()[-1]
+
     @contextlib.contextmanager
     def in_real_time(self) -> Iterator[str]:
         """The service with the priority that its unit asks for, and how it comes to it, if not by that alone.

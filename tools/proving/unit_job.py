@@ -66,13 +66,14 @@ def _(here: Installed) -> Told:
     return inside == 0 and outside == 3, f"eve {inside}, mallory {outside}"
 
 
-@story("the control process has real-time priority, and the unit gives no capability for it")
+@story("the control process has real-time priority, the daemon's session goes first, both without a capability")
 def _(here: Installed) -> Told:
     told = here.machine.unit(DAEMON, "LimitRTPRIO", "CapabilityBoundingSet", "AmbientCapabilities")
     given = (told["LimitRTPRIO"], told["CapabilityBoundingSet"], told["AmbientCapabilities"]) == ("10", "", "")
     with here.in_real_time() as how:
-        policy = here.policy()
-    return given and policy == "1", f"policy {policy} (1: SCHED_FIFO){how}; {told}"
+        policy, session = here.policy(), here.precedence()
+    first = policy == "1" and session == "-10"
+    return given and first, f"policy {policy} (1: SCHED_FIFO), session {session}{how}; {told}"
 
 
 @story("the dashboard starts when it is enabled", short=True)

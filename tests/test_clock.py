@@ -1,0 +1,28 @@
+"""What the clock asks of the system: precedence of the process, and of the session that is its own."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ASK = """
+import os
+from pathlib import Path
+from armctl.clock import ask_for_precedence
+ask_for_precedence()
+print(os.getpriority(os.PRIO_PROCESS, 0), Path("/proc/self/autogroup").read_text().split()[-1])
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/autogroup").exists(), reason="this kernel weighs no sessions")
+@pytest.mark.parametrize("own", [True, False], ids=["own session", "somebody else's"])
+def test_a_session_of_its_own_goes_before_others(own: bool) -> None:
+    """Linux weighs sessions before niceness: a daemon beside a busy login gets half of a processor."""
+    before = Path("/proc/self/autogroup").read_text(encoding="ascii").split()[-1]
+    command = [sys.executable, "-c", ASK]
+    done = subprocess.run(command, start_new_session=own, capture_output=True, text=True, check=True, timeout=60)
+    niceness, session = done.stdout.split()
+    if niceness != "-10":
+        pytest.skip("this user may not ask for precedence")
+    assert session == ("-10" if own else before)
