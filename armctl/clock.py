@@ -112,8 +112,8 @@ def ask_for_real_time() -> None:
 def ask_for_precedence() -> None:
     """Ask to go before what else is computed (niceness -10, as the installed service has); it goes on without.
 
-    Linux weighs sessions before the niceness of what is in them (sched_autogroup): one that is this process's own is asked
-    for as well.
+    Linux weighs sessions before the niceness of what is in them (sched_autogroup): one that is this process's own is
+    asked for as well.
     """
     with contextlib.suppress(OSError):  # no CAP_SYS_NICE and no NICE limit; or a kernel without these groups
         os.setpriority(os.PRIO_PROCESS, 0, -10)
