@@ -103,6 +103,7 @@ def _work(pipe: Connection, task: Task[A, R], argument: A) -> None:
     """Body of the job's process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C in a terminal is the parent's to answer
     with contextlib.suppress(PermissionError):  # a sandbox may forbid it
+        os.setsid()  # the daemon's session goes before others, a job's does not
         os.nice(NICENESS)
     with contextlib.suppress(OSError, ValueError):
         taken = int(Path("/proc/self/statm").read_text().split()[5]) * resource.getpagesize()

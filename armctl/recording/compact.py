@@ -83,7 +83,9 @@ class Compaction:
         """
         if self._process is None or self._process.poll() is not None:
             command = [sys.executable, "-m", "armctl.recording.compact", *map(str, folders)]
-            self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+            quiet = subprocess.DEVNULL
+            # In a session of its own: the daemon's goes before others.
+            self._process = subprocess.Popen(command, stdin=quiet, stdout=quiet, start_new_session=True)
             # So that nothing defunct is left of it until the next hour.
             threading.Thread(target=self._process.wait, name="compaction", daemon=True).start()
 

@@ -28,7 +28,7 @@ def task(what: str, progress: Progress) -> dict[str, Any]:
         progress(generation, 2.0, 3.0)
     match what:
         case "result":
-            return {"pid": os.getpid()}
+            return {"pid": os.getpid(), "session": os.getsid(0)}
         case "refuse":
             raise RequestRefused("BAD_LINE", ["too short", "too low"])
         case "misconfigure":
@@ -49,6 +49,7 @@ async def test_a_job_runs_elsewhere_and_its_progress_is_rare() -> None:
     async with asyncio.timeout(PATIENCE_S):
         result = await run_job(task, "result", lambda *values: seen.append(values))
     assert result["pid"] != os.getpid()
+    assert result["session"] == result["pid"], "the daemon's session goes before others, and no job with it"
     assert seen[0] == (1, 2.0, 3.0)
     assert len(seen) < 50
 

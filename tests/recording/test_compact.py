@@ -156,6 +156,7 @@ def test_one_compaction_runs_at_a_time(tmp_path: Path, monkeypatch: pytest.Monke
     compaction.start(tmp_path)
     compaction.start(tmp_path)
     assert process.call_count == 1
+    assert process.call_args.kwargs["start_new_session"], "the daemon's own session goes before others"
     process.return_value.poll.return_value = 0
     compaction.start(tmp_path)
     assert [call.args[0][-1] for call in process.call_args_list] == [str(tmp_path)] * 2
