@@ -85,7 +85,7 @@ def _against(s: Tick, first: int, second: int) -> float:
     """With how much of its output each servo of a joint that stands under torque pushes against the other: what the two
     do not share of their load.
     """
-    held = stands(s, first) and holds(s, second) is not None
+    held = stands(s, first, settling=True) and holds(s, second) is not None
     return abs(s.each[first].load_ratio - s.each[second].load_ratio) / 2.0 if held else 0.0
 
 

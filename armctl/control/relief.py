@@ -109,9 +109,14 @@ def relieve(s: Tick, index: int) -> None:
     s.state.looks = (*(look for look in s.state.looks if look.joint != index), Look(index, relieved=True))
 
 
-def stands(s: Tick, index: int) -> bool:
-    """Whether a joint that is heard and has torque does not move, and no motion is asked of the arm."""
-    return not _is_asked(s) and _is_still(s, index)
+def stands(s: Tick, index: int, *, settling: bool = False) -> bool:
+    """Whether a joint that is heard and has torque does not move, and no motion is asked of the arm.
+
+    Args:
+        settling: Whether one that is over, but for bringing the tool to its place, counts as none.
+    """
+    over = settling and s.state.motion is not None and s.state.motion.settling is not None
+    return (over or not _is_asked(s)) and _is_still(s, index)
 
 
 def _is_asked(s: Tick) -> bool:

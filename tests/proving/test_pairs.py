@@ -56,10 +56,10 @@ def test_every_episode_has_horns_that_slip_and_a_servo_of_a_pair_that_dies() -> 
     assert not [line for line in drawn_by(1, 0)[1].lines if isinstance(line, Strike) and "pair" in line.fault.kind]
 
 
-def slipped(value: float, slope: int = 32) -> list[str]:
-    """What the judge finds where a horn of the Reactor's elbow slips while it holds."""
+def slipped(value: float, slope: int = 32, begin_s: float = 12.0) -> list[str]:
+    """What the judge finds where a horn of the Reactor's elbow slips while it holds, or before."""
     text = arm_text("phantomx-reactor").replace("pair: {servo_id: 4}}", f"pair: {{servo_id: 4}}, {stiff(slope)}}}")
-    slip = Strike(Fault(kind="pair_mismatch", servo_id=4, value=value, begin_s=12.0, duration_s=12.0))
+    slip = Strike(Fault(kind="pair_mismatch", servo_id=4, value=value, begin_s=begin_s, duration_s=12.0))
     story = Story(3, 24.0, (Wish(1.0, "run", 5), slip))
     return [violation.invariant for violation in Episode(story, stage_of(text)).play().violations]
 
@@ -76,6 +76,12 @@ def test_a_horn_that_slips_breaks_no_rule(value: float) -> None:
 def test_a_program_that_tells_no_mismatch_is_found() -> None:
     with patch.object(told_by, "PAIR_S", 1e6):
         assert slipped(20.0) == ["pair"]
+
+
+@pytest.mark.parametrize("begin_s", [8.0, 9.5, 10.5])
+def test_a_pair_that_fights_while_the_tool_is_brought_to_its_place_is_told_in_time(begin_s: float) -> None:
+    """Before, the time counted only from when the motion was over, up to 3 s later."""
+    assert slipped(13.0, slope=16, begin_s=begin_s) == []
 
 
 def test_a_program_that_lets_a_pair_fight_is_found() -> None:
