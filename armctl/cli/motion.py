@@ -47,7 +47,7 @@ def jog_command(output: Output, joint: str | None, axis: str | None, speed: floa
 
     The arm stops by itself when this command ends: by Ctrl-C, a lost connection, a closed terminal. It slows down
     before limits and floor, and is never faster than 20 deg/s a joint. The tool is led straight or not at all: at the
-    edge of the reach it stops. By keys it moves while one is held down.
+    edge of the reach, or of what the arm can lift, it stops. By keys it moves while one is held down.
 
     Example: armctl jog --axis z --speed 0.02 --seconds 2
     """

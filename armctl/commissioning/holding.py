@@ -34,7 +34,6 @@ from armctl.errors import UnreachableTarget
 from armctl.kinematics import robots
 from armctl.kinematics.chain import DHRow, SerialChain, link_frames, tool_position
 from armctl.kinematics.robots.robot import Robot
-from armctl.kinematics.solution import within_limits
 from armctl.kinematics.target import point_target
 from armctl.kinematics.transform import FloatArray, rpy_from_matrix
 from armctl.kinematics.urdf_reader import table_row
@@ -135,7 +134,8 @@ def _leads_down(arm: ArmConfig, robot: Robot, q: Sequence[float], up_m: float) -
     points = link_points(robot.chain, np.array(way)[:, :n])
     gaps_m = link_clearance(points, judged_pairs(points[0], arm.link_radius_m), arm.link_radius_m)
     clear = (gaps_m >= 0.0).all() and (floor_clearance(points, arm.floor_m, arm.link_radius_m) >= -NEAR_M).all()
-    within = within_limits(np.array(way)[:, :n], limits_rad[:n]).all()
+    low, high = limits_rad[:n].T
+    within = ((low < np.array(way)[1:, :n]) & (np.array(way)[1:, :n] < high)).all()
     return bool(clear and within and up_m - (points[0, -1, 2] - points[-1, -1, 2]) <= NEAR_M)
 
 

@@ -7,9 +7,10 @@ Rules.
    a new beginning.
 2. No joint turns faster than `SPEED_RAD_S` or its own limit, no tool faster than its own limit; a velocity that is too
    high is scaled as a whole, so that its direction stays.
-3. A tool is led straight, or not at all: where the joints would lead it aside, they turn slower, until it stands.
+3. A tool is led straight, or not at all: where the joints would lead it aside, they turn slower, until it stands. So it
+   does where a joint could hardly lift the arm back.
 4. A joint nears its limit no faster than it can still stop before it. A tool that is led along a line waits as a
-   whole for the joint that has to.
+   whole for the joint that has to. At the limit it stands, and the others lead the tool.
 5. No link is led below the floor: the place where the arm would stop is looked at before every goal.
 6. A servo that lags behind is waited for, by the whole arm, from rest.
 """
@@ -28,6 +29,7 @@ from armctl.kinematics.chain import jacobian, tool_position
 from armctl.kinematics.robots.robot import Robot
 from armctl.messages import NS_PER_S, Event, Jog
 from armctl.trajectory.collision import floor_clearance, link_points
+from armctl.trajectory.lag import lags_rad
 
 HEARTBEAT_NS = 80_000_000
 STOP_S = 0.1
@@ -47,6 +49,9 @@ LEADS = ((DAMPING_M2, 0.0, 1.0), *((1e-6, 1e-3, 0.5**halvings) for halvings in r
 # The look ahead. Straight is what goes aside by no more than a share of the way ahead, or, on the way in from the edge
 # of the reach, by what no servo resolves. A speed below the last of these, or half of what is asked for, is none.
 AHEAD_S, ASIDE, ASIDE_M, LEAST_M_S = 0.15, 0.1, 1e-4, 3e-4
+# How far a joint may stay behind its goal where it lifts the arm. More is beyond the largest correction, with what is
+# trimmed and what speed takes: the tool would sink by centimetres on its way back.
+HEAVIEST_RAD = math.radians(6.5)
 
 
 def begin(s: Tick, command: Jog) -> None:
@@ -76,11 +81,37 @@ def _check(s: Tick, command: Jog, q: Sequence[float]) -> None:
         raise RequestRefused("LIMIT", "a jog needs finite velocities")
     if (len(joints), len(tool)) not in ((n, 0), (0, 3)):
         raise RequestRefused("LIMIT", f"a jog needs the velocity of each of the {n} joints, or of the tool (x, y, z)")
-    if any(tool) and not any(led(s.arm, s.robot, q, command)):
+    if any(tool) and (why := _way(s, q, command)[1]):
         x, y, z = tool_position(s.robot.chain, np.array(q[: s.robot.chain.n])).tolist()
         no_way = f"from ({x:.3f}, {y:.3f}, {z:.3f}) m the tool can go no farther that way without going aside"
-        why = "the arm is stretched out there, or the tool is over its base"
-        raise RequestRefused("UNREACHABLE", f"{no_way}: {why}; jog another way, or turn a joint first")
+        raise RequestRefused("UNREACHABLE", f"{why}: {no_way}; jog another way, or turn a joint first")
+
+
+def _way(s: Tick, q: Sequence[float], asked: Jog | Jogging) -> tuple[list[float], str]:
+    """Joint velocities [rad/s] of a jog, and why it goes no farther; empty: it does."""
+    velocity = led(s.arm, s.robot, q, asked)
+    if not any(velocity):
+        turning = zip(s.arm.joints, q[: s.robot.chain.n], strict=False)
+        ends = [(joint.name, math.degrees(at)) for joint, at in turning if at in joint.limits_rad]
+        stand = [f"{name} stands at its limit, {at_deg:.1f} deg" for name, at_deg in ends]
+        return velocity, " and ".join(stand) or "the arm is stretched out, or its tool over its base"
+    if asked.tool_m_s and s.arm.correction and (heavy := _too_heavy(s, q, velocity)):
+        return [0.0] * len(velocity), heavy
+    return velocity, ""
+
+
+def _too_heavy(s: Tick, q: Sequence[float], velocity: Sequence[float]) -> str:
+    """On which joint the arm weighs too much where this leads; empty: on none, or on none more than here."""
+    model, still = s.lag_model(), (0.0,) * len(q)
+    trims = still if s.state.following is None else s.state.following.trim_rad  # what the model does not know of
+    ahead = [a + AHEAD_S * v for a, v in zip(q, velocity, strict=True)]
+    now, then = (lags_rad(model, s.robot.chain, at, still, still) for at in (q, ahead))
+    for joint, row, trim_rad, before, after in zip(s.arm.joints, model.rows, trims, now, then, strict=False):
+        behind_rad = abs(after + trim_rad) + abs(row[-3])  # friction adds to what a joint lifts
+        if behind_rad > HEAVIEST_RAD and abs(after) > abs(before):
+            most_deg = math.degrees(HEAVIEST_RAD)
+            return f"{joint.name} would lift the arm more than {most_deg:.1f} deg behind its goal, and the tool sink"
+    return ""
 
 
 def advance_jog(s: Tick, jog: Jogging) -> None:
@@ -97,7 +128,7 @@ def advance_jog(s: Tick, jog: Jogging) -> None:
         if rests and (jog.stop_code or silent_ns > END_NS):
             s.finish_jog(jog.stop_code or "NO_HEARTBEAT")
         return
-    velocity = led(s.arm, s.robot, jog.position_rad, jog)
+    velocity, _ = _way(s, jog.position_rad, jog)
     # All joints change speed in the same proportion, which keeps a tool on its line from the start.
     changes = [b - a for a, b in zip(jog.velocity_rad_s, velocity, strict=True)]
     most = max(map(abs, changes))
@@ -147,7 +178,7 @@ def led(arm: ArmConfig, robot: Robot, q: Sequence[float], asked: Jog | Jogging) 
     for damping_m2, bend_rad, share in LEADS:
         # Rows x, y, z of the tool point's velocity for each joint of the chain [m/rad].
         J: list[list[float]] = jacobian(robot.chain, np.array(q[: robot.chain.n]) + bend_rad)[:3].tolist()
-        wanted = asked.joints_rad_s or _joint_velocities(J, asked.tool_m_s, len(q), damping_m2)
+        wanted = asked.joints_rad_s or _joint_velocities(arm, J, q, asked.tool_m_s, damping_m2)
         velocity = [share * v for v in _slower(arm, J, wanted)]
         if asked.joints_rad_s or _leads_straight(robot, q, velocity, asked.tool_m_s):
             return velocity
@@ -166,7 +197,20 @@ def _leads_straight(robot: Robot, q: Sequence[float], velocity: Sequence[float],
     return aside_m <= most_m and along_m >= AHEAD_S * min(LEAST_M_S, 0.5 * speed_m_s)
 
 
-def _joint_velocities(J: list[list[float]], tool_m_s: Sequence[float], joints: int, damping_m2: float) -> list[float]:
+def _joint_velocities(
+    arm: ArmConfig, J: list[list[float]], q: Sequence[float], tool_m_s: Sequence[float], damping_m2: float
+) -> list[float]:
+    """Joint velocities that move the tool point so; a joint stands at a limit past which it would turn."""
+    while True:
+        velocity = _least_squares(J, tool_m_s, damping_m2)
+        limits_rad = [joint.limits_rad[int(v > 0.0)] for joint, v in zip(arm.joints, velocity, strict=False)]
+        past = [v * (to - at) <= 0.0 != v for v, to, at in zip(velocity, limits_rad, q, strict=False)]
+        if not any(past):
+            return velocity + [0.0] * (len(q) - len(velocity))
+        J = [[0.0 if stands else way for way, stands in zip(row, past, strict=True)] for row in J]
+
+
+def _least_squares(J: list[list[float]], tool_m_s: Sequence[float], damping_m2: float) -> list[float]:
     """Joint velocities that move the tool point so: damped least squares, J^T (J J^T + d I)^-1 v.
 
     Written out, because a linear algebra library may round differently on another machine, and logs are replayed there.
@@ -179,8 +223,7 @@ def _joint_velocities(J: list[list[float]], tool_m_s: Sequence[float], joints: i
     determinant = a * A + b * B + c * C
     x, y, z = tool_m_s
     force = (A * x + B * y + C * z, B * x + D * y + E * z, C * x + E * y + F * z)
-    velocities = [(x * force[0] + y * force[1] + z * force[2]) / determinant for x, y, z in zip(*J, strict=True)]
-    return velocities + [0.0] * (joints - len(velocities))
+    return [(x * force[0] + y * force[1] + z * force[2]) / determinant for x, y, z in zip(*J, strict=True)]
 
 
 def _dot(a: Sequence[float], b: Sequence[float]) -> float:

@@ -256,6 +256,8 @@ class Following:
     # Where, when the last goal is due, and how fast there.
     wanted_rad: tuple[float, ...]
     velocity_rad_s: tuple[float, ...]
+    # Where they were read as it was sent.
+    seen_rad: tuple[float, ...]
     # On which side friction pushes, from -1 to 1.
     side: tuple[float, ...]
     trim_rad: tuple[float, ...]

@@ -4,8 +4,8 @@ A goal is where a joint is wanted a tick ahead, by a trajectory or a jog, and it
 1. The lag that the arm's model foresees (`trajectory/lag.py`). The side from which each joint came, on which its
    friction pushes, is remembered from motion to motion.
 2. A trim that grows slowly by what the encoders show, at the instants at which they were read; it begins anew with each
-   motion. A joint that is far off is kept from where it is wanted, and not trimmed. Nothing is trimmed in a motion that
-   is being stopped, nor while a fault is latched.
+   motion. A joint that is far off is kept from where it is wanted, and not trimmed, nor is one whose goal has come to
+   its limit. Nothing is trimmed in a motion that is being stopped, nor while a fault is latched.
 3. What the motion before has left of a correction, which is blended out within `BLEND_S`.
 4. Goals are whole ticks. Of those beside the exact ones of all joints together, they are those that keep the tool
    nearest to where exact ones would have it, and that turn no joint back.
@@ -179,9 +179,10 @@ def _tell_marks(s: Tick, motion: Motion) -> None:
 def set_off(s: Tick, *, corrected: bool = True) -> None:
     """A motion begins where the joints are wanted, with the correction that they have."""
     wanted, zeros, last = s.wanted_rad(), (0.0,) * len(s.joints), s.state.following
+    seen = tuple([joint.position_rad for joint in s.joints])
     before = tuple([goal - q for goal, q in zip(s.goals_rad(), wanted, strict=True)])
     side = zeros if last is None else last.side
-    s.state.following = Following(corrected and s.arm.correction, wanted, zeros, side, zeros, before, before)
+    s.state.following = Following(corrected and s.arm.correction, wanted, zeros, seen, side, zeros, before, before)
 
 
 def trim(s: Tick) -> None:
@@ -194,7 +195,8 @@ def trim(s: Tick) -> None:
     for i in range(s.robot.chain.n):
         since_s = (s.inputs.sample.servos[i].stamp_ns - s.state.goal_ns) / NS_PER_S - s.period_s
         error = f.wanted_rad[i] + f.velocity_rad_s[i] * since_s - s.joints[i].position_rad
-        if abs(error) < FAR_RAD:
+        low, high = s.arm.joints[i].limits_rad
+        if abs(error) < FAR_RAD and low < f.wanted_rad[i] + f.given_rad[i] < high:
             trims[i] = min(max(trims[i] + gain * error, -TRIM_RAD), TRIM_RAD)
     s.state.following = replace(f, trim_rad=tuple(trims))
 
@@ -214,11 +216,13 @@ def aimed(s: Tick, wanted_rad: Sequence[float], velocity_rad_s: Sequence[float])
     given, most = list(f.given_rad), RATE_RAD_S * s.period_s
     for i, (lag, last) in enumerate(zip(lags, f.given_rad, strict=True)):
         correction = share * lag + (1.0 - share) * f.before_rad[i] + f.trim_rad[i]
-        off = wanted[i] - s.joints[i].position_rad
+        way, gone = velocity_rad_s[i] * s.period_s, s.joints[i].position_rad - f.seen_rad[i]
+        # Behind is what is left when a joint has gone on for this tick as it did in the last one.
+        off = wanted[i] - s.joints[i].position_rad - min(max(gone, min(way, 0.0)), max(way, 0.0))
         low, high = max(-MOST_RAD, min(0.0, -AWAY_RAD - off)), min(MOST_RAD, max(0.0, AWAY_RAD - off))
         given[i] = min(max(min(max(correction, low), high), last - most), last + most)
-    speeds, given_rad = tuple(velocity_rad_s), tuple(given)
-    after = replace(f, wanted_rad=wanted, velocity_rad_s=speeds, side=side, given_rad=given_rad, age_s=age_s)
+    speeds, seen_rad = tuple(velocity_rad_s), tuple([joint.position_rad for joint in s.joints])
+    after = Following(f.corrected, wanted, speeds, seen_rad, side, f.trim_rad, f.before_rad, tuple(given), age_s)
     return _whole_ticks(s, f, after), after
 
 

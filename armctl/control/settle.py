@@ -29,8 +29,8 @@ from armctl.trajectory.lag import lags_rad
 TRIM_RAD = math.radians(3.0)
 # No correction is larger in all.
 MOST_RAD = math.radians(7.0)
-# No correction makes a goal farther from its joint: one that is blocked is to be told of as that, and one that is held
-# short of its place pushes with less than what trips it (0.8 of its strength at 7.5 deg).
+# No correction makes a goal farther from its joint, but for the way that this goes by itself: one that is blocked is to
+# be told of as that, and one held short of its place pushes with less than what trips it: 0.8 at 7.5 deg.
 AWAY_RAD = math.radians(7.0)
 FAR_RAD = math.radians(3.0)
 # Until the arm stands, how long it is looked at then, and in all.

@@ -256,7 +256,7 @@ class Host:
             self.exchange.forget_hold()  # a stop from now on is a new one
             if len(joints_rad_s) == len(q_now) or len(tool_m_s) == 3:
                 ahead = led(self.arm, self.robot, q_now, messages.Jog(0, joints_rad_s, tool_m_s))
-                refuse_at_limit(q_now, ahead, self.arm, led=not joints_rad_s)
+                refuse_at_limit(q_now, ahead, self.arm)
                 refuse_collision(q_now, ahead, self.arm, self.robot)
             await self.exchange.request(lambda request_id: messages.Jog(request_id, joints_rad_s, tool_m_s, begin))
         if not lease.lost and self.latest is not None and self.latest.outputs.mode is Mode.JOGGING:

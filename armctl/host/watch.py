@@ -90,18 +90,16 @@ def holds(arm: ArmConfig, load_ratio: Sequence[float]) -> bool:
     return gripper is not None and held >= HELD_SHARE * gripper.load_ratio
 
 
-def refuse_at_limit(q_now: Sequence[float], joints_rad_s: Sequence[float], arm: ArmConfig, led: bool) -> None:
+def refuse_at_limit(q_now: Sequence[float], joints_rad_s: Sequence[float], arm: ArmConfig) -> None:
     """Refuse a jog that would lead nowhere: what asks for it is to hear why.
 
-    Args:
-        led: Whether the tool is led, so that all joints wait for one that has to.
     Raises:
         RequestRefused: code LIMIT, naming the joint that stands at its limit.
     """
     ways = zip(arm.joints, q_now, joints_rad_s, strict=True)
     turning = [(joint.name, joint.limits_rad[v > 0.0], q, v) for joint, q, v in ways if v]
     stands = [(name, to) for name, to, q, v in turning if (to - q) / v < min(AT_LIMIT_S, AT_LIMIT_RAD / abs(v))]
-    if stands and (led or len(stands) == len(turning)):
+    if stands and len(stands) == len(turning):
         at = f"{stands[0][0]} stands at its limit, {math.degrees(stands[0][1]):.1f} deg"
         raise RequestRefused("LIMIT", f"{at}, and would have to turn past it; jog another way")
 

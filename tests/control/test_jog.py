@@ -2,23 +2,26 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from armctl.config import ArmConfig
 from armctl.control.jog import SPEED_RAD_S, led
 from armctl.control.motion import LEAD_TICKS
 from armctl.dynamixel import ax12a
 from armctl.files import load_arm
 from armctl.kinematics.chain import jacobian, tool_position
 from armctl.lab.rig import ObservingClock
-from armctl.messages import Clear, Hold, HostLost, Jog, Mode, Park, Release, Run
+from armctl.messages import Clear, Hold, HostLost, Jog, Mode, Park, Release, Run, UseModel
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.virtual_arm import VirtualArm
 from armctl.trajectory.collision import floor_clearance, link_points
+from armctl.trajectory.lag import nominal
 from tests.control.ideal_arm import PERIOD_S, IdealArm, holding, line
 
 BASE = (0.2, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -26,9 +29,9 @@ BASE = (0.2, 0.0, 0.0, 0.0, 0.0, 0.0)
 MOST_TICKS = math.ceil(SPEED_RAD_S * PERIOD_S / ax12a.TICK_RAD) + 1
 
 
-def bent(at_deg: Sequence[float] = (0.0, 87.0, -65.0, -64.0, -33.0, 0.0)) -> IdealArm:
+def bent(at_deg: Sequence[float] = (0.0, 87.0, -65.0, -64.0, -33.0, 0.0), config: ArmConfig | None = None) -> IdealArm:
     """Holding, by itself where the tool is free to move any way."""
-    arm = IdealArm()
+    arm = IdealArm() if config is None else IdealArm(config)
     for index, degrees in enumerate(at_deg):
         tick = round(arm.arm.joints[index].tick(math.radians(degrees)))
         arm.put(index, ax12a.PRESENT_POSITION, tick)
@@ -265,7 +268,10 @@ def test_at_the_edge_of_the_reach_the_tool_goes_straight_on_and_stops(
         places.append(wanted_tool(arm))
         assert len(places) < 3000, "it neither arrives nor is it told why"
     x, y, z = places[-1].round(3)
-    assert (reply.code, reply.message.split(" m ")[0]) == ("UNREACHABLE", f"from ({x:.3f}, {y:.3f}, {z:.3f})")
+    assert reply.code == "UNREACHABLE"
+    assert reply.message.startswith(
+        f"the arm is stretched out, or its tool over its base: from ({x:.3f}, {y:.3f}, {z:.3f}) m"
+    )
     moved = np.array(places) - begin
     along = moved @ way
     assert np.linalg.norm(moved - along[:, None] * way, axis=1).max() < 0.006  # of up to 0.14 m
@@ -304,6 +310,60 @@ def test_a_stretched_arm_is_led_in_and_not_out(at_deg: Sequence[float], way: Seq
     moved = wanted_tool(arm) - begin
     assert moved @ way > 0.03
     assert np.linalg.norm(moved - (moved @ way) * np.array(way)) < 0.002
+
+
+JOINTS = load_arm("ax12-line").joints
+# Anywhere, and often at a limit.
+POSTURES = st.tuples(
+    st.floats(-145.0, 145.0),
+    *[st.one_of(st.floats(*joint.limits_deg), st.sampled_from(joint.limits_deg)) for joint in JOINTS[1:5]],
+)
+
+
+@given(at_deg=POSTURES, way=st.tuples(*[st.floats(-1.0, 1.0)] * 3), speed_m_s=st.floats(0.005, 0.1))
+@settings(max_examples=60)
+def test_a_tool_is_led_straight_on_or_told_why_not_and_never_left_standing(
+    at_deg: tuple[float, ...], way: tuple[float, float, float], speed_m_s: float
+) -> None:
+    assume(np.linalg.norm(way) > 0.1)
+    arm = bent((*at_deg, 0.0))
+    unit = np.array(way) / np.linalg.norm(way)
+    velocity, places = tuple((speed_m_s * unit).tolist()), [tool(arm)]
+    for beat in range(12):
+        reply = arm.ask(Jog(arm.tick + 100, (), velocity, begin=beat == 0))
+        if not reply.ok:
+            assert reply.code == "UNREACHABLE", reply
+            break
+        points = link_points(arm.robot.chain, np.array(arm.positions_rad()[: arm.robot.chain.n]))
+        if floor_clearance(points, arm.arm.floor_m, arm.arm.link_radius_m).min() < 0.03:
+            break  # what it may stand still for
+        places.append(wanted_tool(arm))
+    moved = np.array(places) - places[0]
+    along = moved @ unit
+    assert (np.diff(along) > -1e-9).all()
+    assert (np.linalg.norm(moved - along[:, None] * unit, axis=1) < 0.1 * along + 0.0005).all()
+    assert len(places) < 12 or along[-1] > 0.0001
+
+
+def test_the_tool_is_led_no_farther_out_than_the_arm_can_lift_it_back() -> None:
+    plain = IdealArm().arm
+    model = nominal(plain, IdealArm().robot.chain)
+    ends_m = {}
+    for weight, corrected in ((0.8, True), (1.2, True), (1.2, False)):
+        arm = bent((0.0, 70.0, -80.0, -20.0, 0.0, 0.0), plain.model_copy(update={"correction": corrected}))
+        rows = tuple((*(weight * gravity for gravity in row[:-3]), *row[-3:]) for row in model.rows)
+        assert arm.ask(UseModel(5, replace(model, rows=rows))).ok
+        begin, out, beat = tool(arm), (0.03, 0.0, 0.0), 0
+        while (reply := arm.ask(Jog(arm.tick + 100, (), out, begin=beat == 0))).ok and beat < 200:
+            beat += 1
+        assert reply.code == "UNREACHABLE"
+        too_heavy = "shoulder would lift the arm more than 6.5 deg behind its goal" in reply.message
+        assert too_heavy == (weight > 1.0 and corrected)
+        ends_m[weight, corrected] = tool(arm)[0] - begin[0]
+        arm.run_ticks(8)
+        jog(arm, 10, tool_m_s=(-0.03, 0.0, 0.0))
+    assert 0.005 < ends_m[1.2, True] < 0.07
+    assert min(ends_m[0.8, True], ends_m[1.2, False]) > 0.09, "stretched out; without correction no sag is promised"
 
 
 def test_joint_velocities_give_the_tool_velocity_away_from_singular_poses() -> None:

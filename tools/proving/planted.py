@@ -318,6 +318,15 @@ MUTANTS: tuple[Mutant, ...] = (
          ("__ends = bool(__motion.stop_code) or __grips or __limp\n__ends |= __s.state.phase in LATCHED | TO_REST",
           "__ends = __grips or __limp"),
          room=CONTROL, tests=PLACE + "test_nothing_is_corrected_while_a_fault_is_latched"),
+    _log("the way of a tick counts as lag", (
+        "__wanted[__i] - __s.joints[__i].position_rad - min(max(__gone, min(__way, 0.0)), max(__way, 0.0))",
+        "__wanted[__i] - __s.joints[__i].position_rad"),
+        room=CONTROL,
+        tests="tests/control/test_correction.py::"
+        "test_a_joint_that_lifts_the_arm_at_speed_gets_the_whole_of_its_correction"),
+    _log("a joint at its limit holds the tool", ("__v * (__to - __at) <= 0.0 != __v", "False"),
+         room=CONTROL,
+         tests="tests/host/test_motions.py::test_a_tool_is_led_on_by_the_others_where_a_joint_stands_at_its_limit"),
     _log("a model of another arm is used", (
         "(__model.arm_id, __model.calibration_hash) != (__arm.arm_id, __arm.calibration_hash)", "False"),
         room=CONTROL, tests=PLACE + "test_the_model_of_another_arm_is_refused"),

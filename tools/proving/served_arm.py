@@ -19,7 +19,7 @@ from armctl.host import motions, reach
 from armctl.host.host import Host
 from armctl.host.watch import Done, Leg, Watch
 from armctl.lab.sag_identification import identify
-from armctl.messages import Command, JointTrajectory, LagModel, Mode, Reply, Run, TickRecord, UseModel
+from armctl.messages import Command, Jog, JointTrajectory, LagModel, Mode, Reply, Run, TickRecord, UseModel
 from armctl.sim.arm import SimulatedArm
 from armctl.sim.faults import Fault
 from armctl.sim.spec import RANDOM_SPEC, ArmSpec
@@ -43,6 +43,8 @@ LOOK_NS = 4_000_000
 EARLY_S = 0.3
 # A motion that takes longer beyond its trajectory is given up.
 PATIENCE_S = 15.0
+# From its last heartbeat to where a jog has ended.
+JOG_ENDS_S = 1.0
 # What a daemon still records after a motion.
 TAIL_S = 0.3
 
@@ -156,6 +158,20 @@ class ServedArm:
     def transfer(self, request: TransferRequest) -> dict[str, Any]:
         """As `armctl transfer` does."""
         return _answer(motions.transfer(self._host, self._client, request))
+
+    def jog(self, tool_m_s: FloatArray, seconds: float) -> str:
+        """As a button does that is held for so long; why the tool went no farther, empty: nobody said so."""
+        self._eye.seen, self._eye.open_ns = [], self._eye.now_ns()
+        x, y, z = tool_m_s.tolist()
+        told = ""
+        for beat in range(round(seconds / self.period_s)):
+            record = self._virtual.tick(Jog(self._virtual.next_id(), (), (x, y, z), begin=beat == 0))
+            if told := next((reply.message for reply in record.outputs.replies if not reply.ok), ""):
+                break
+        self._eye.open_ns = None
+        self.path_m = self.truly.tool_m(np.array([q for _, q in self._eye.seen]))
+        self.wait(JOG_ENDS_S)
+        return told
 
     def use(self, model: LagModel) -> None:
         """Offer the control step a model, as the host does before a motion."""
