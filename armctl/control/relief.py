@@ -100,13 +100,14 @@ def _ahead_rad(s: Tick, index: int) -> float:
 def relieve(s: Tick, index: int) -> None:
     """Let a joint's goal be where it is, and look at it again once it stands.
 
-    A servo that is far from its goal and does not push is not the joint's own: another one answers in its name.
+    A servo that is far from its goal and does not push is not the joint's own: another one answers in its name. Of two
+    that push against each other both push, whatever their joint bears.
     """
-    load_ratio = s.joints[index].load_ratio
-    if load_ratio * _ahead_rad(s, index) < 0.0 or abs(load_ratio) < FRICTION_RATIO:
-        return
-    stay(s, index)
-    s.state.looks = (*(look for look in s.state.looks if look.joint != index), Look(index, relieved=True))
+    own = [i for i, servo in enumerate(s.servos) if servo is not None and s.wire[i].of == index]
+    loads = [s.each[i].load_ratio for i in own if s.each[i].load_ratio * _ahead_rad(s, i) >= 0.0]
+    if max(map(abs, loads), default=0.0) >= FRICTION_RATIO:
+        stay(s, index)
+        s.state.looks = (*(look for look in s.state.looks if look.joint != index), Look(index, relieved=True))
 
 
 def stands(s: Tick, index: int, *, settling: bool = False) -> bool:

@@ -148,6 +148,21 @@ def test_a_blocked_pair_is_relieved_as_one_joint() -> None:
     assert all(abs(rig.simulated.servos[i].output) < 0.5 for i in SHOULDER)
 
 
+@pytest.mark.parametrize("apart_ticks", [40, -40])
+def test_a_pair_that_was_found_with_goals_of_another_program_apart_is_relieved_at_once(apart_ticks: int) -> None:
+    """Each is blocked by the other. Before, where their joint bore nothing that way, they pushed until they tripped."""
+    rig = Rig(arm=ARM, spec=ALIKE).holding().at()
+    for i in SHOULDER:
+        rig.simulated.servos[i].set(ax12a.GOAL, rig.loop.state.goal[i] + apart_ticks)
+    rig.restart()
+    rig.ticks(4)
+    assert against(rig) > AGAINST_RATIO
+    rig.ticks(4)
+    assert rig.code() == "BLOCKED"
+    assert against(rig) < AGAINST_RATIO / 2.0
+    assert len(rig.stiff()) == len(ARM.servos)
+
+
 def test_a_measured_table_is_what_goals_and_position_go_by() -> None:
     arm = paired_arm({"table": [[170, 866], [400, 634], [760, 270]]})
     rig = Rig(arm=arm, spec=ALIKE).holding().at()
