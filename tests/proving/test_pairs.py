@@ -11,6 +11,8 @@ from armctl.sim.faults import Fault
 from proving import reading
 from proving.arms import arm_of, arm_text, drawn, varied
 from proving.episode import Episode, stage_of
+from proving.evidence import Servo, Strain
+from proving.pairs import PairWatch
 from proving.soak import drawn_by
 from proving.story import Story, Strike, Wish
 
@@ -82,6 +84,19 @@ def test_a_program_that_tells_no_mismatch_is_found() -> None:
 def test_a_pair_that_fights_while_the_tool_is_brought_to_its_place_is_told_in_time(begin_s: float) -> None:
     """Before, the time counted only from when the motion was over, up to 3 s later."""
     assert slipped(13.0, slope=16, begin_s=begin_s) == []
+
+
+@pytest.mark.parametrize(("told", "left", "broken"), [(False, True, 1), (True, False, 1), (True, True, 0)])
+def test_a_pair_that_fights_is_excused_only_where_it_is_told_and_the_arm_left_to_another_program(
+    told: bool, left: bool, broken: int
+) -> None:
+    arm = reading.read(arm_text("phantomx-reactor"))
+    watch, n = PairWatch(arm), len(arm.servos)
+    servos, strains = [Servo(True, 512, 100, 1023, 512.0, 512)] * n, [Strain(0.0, 0.0, 12.0, 30.0)] * n
+    first, second = arm.pairs[0]
+    strains[first] = strains[second] = Strain(0.4, 0.0, 12.0, 30.0)
+    looks = [watch.look(k / 10, servos, servos, strains, [True] * n, told=told, left=left) for k in range(40)]
+    assert len({text for look in looks for i, text in look if i == first and "push against" in text}) == broken
 
 
 def test_a_program_that_lets_a_pair_fight_is_found() -> None:

@@ -4,6 +4,8 @@
 |-|-|-|
 | told | both read farther apart than an honest pair may, and are heard | PAIR_MISMATCH within 3 s |
 | fight | both have torque, the joint stands, no goal changes | 0.2 of the output that they do not share, for 3 s |
+
+An arm that is told to be left to another program is not relieved; that its servos do not agree is told all the same.
 """
 
 import math
@@ -37,12 +39,14 @@ class PairWatch:
         well: Sequence[bool],
         *,
         told: bool,
+        left: bool,
     ) -> Iterator[tuple[int, str]]:
         """Which joint's servos do what must not be, and what.
 
         Args:
             well: Of every servo, whether it is heard, and nothing else moves or blinds it.
             told: Whether the mismatch is told.
+            left: Whether the arm is told to be left to another program, which has the say.
         """
         for k, (first, second) in enumerate(self._arm.pairs):
             a, b = servos[first], servos[second]
@@ -59,7 +63,7 @@ class PairWatch:
                 abs(servos[i].shaft_tick - before[i].shaft_tick) < STILL_TICKS and servos[i].goal == before[i].goal
                 for i in (first, second)
             )
-            fights = judged and stands and against > PAIR_PUSH + NOISE_RATIO
+            fights = judged and stands and against > PAIR_PUSH + NOISE_RATIO and not (told and left)
             self._fight_s[k] = min(self._fight_s[k], now_s) if fights else math.inf
             if now_s - self._apart_s[k] > LASTS_S:
                 yield first, f"its servos read {apart:.0f} ticks apart for {LASTS_S:g} s, and nobody tells it"

@@ -302,8 +302,8 @@ class StandingJudge(ShaftJudge):
         blind = {"stuck_joint", "frozen_sensor", "blocked_joint", "second_writer", "same_id"} | STRAYS
         well = [there and now_s - duties.hand_s > JUST_NOW_S and not duties.lately(now_s, blind, i=i) for i in range(n)]
         if strains:
-            told = "PAIR_MISMATCH" in self._codes
-            for i, text in self._pairs.look(now_s, servos, self._before, strains, well, told=told):
+            told, left = "PAIR_MISMATCH" in self._codes, "OVERRULED" in self._codes
+            for i, text in self._pairs.look(now_s, servos, self._before, strains, well, told=told, left=left):
                 self._violate("pair", now_s, i, text)
 
     def _watch_held(self, now_s: float, servos: Sequence[Servo]) -> None:
