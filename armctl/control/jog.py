@@ -193,7 +193,7 @@ def _leads_straight(robot: Robot, q: Sequence[float], velocity: Sequence[float],
     begin_m, middle_m, end_m = (_dot(place, tool_m_s) / speed_m_s for place in places_m)
     along_m, way_m = end_m - begin_m, [b - a for a, b in zip(places_m[0], places_m[2], strict=True)]
     aside_m = math.sqrt(max(0.0, _dot(way_m, way_m) - along_m * along_m))
-    most_m = max(ASIDE * along_m, ASIDE_M if end_m - middle_m > middle_m - begin_m else 0.0)
+    most_m = max(ASIDE * along_m, ASIDE_M if end_m - middle_m > 1.5 * (middle_m - begin_m) else 0.0)
     return aside_m <= most_m and along_m >= AHEAD_S * min(LEAST_M_S, 0.5 * speed_m_s)
 
 

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from armctl.config import ArmConfig
@@ -315,12 +315,13 @@ def test_a_stretched_arm_is_led_in_and_not_out(at_deg: Sequence[float], way: Seq
 JOINTS = load_arm("ax12-line").joints
 # Anywhere, and often at a limit.
 POSTURES = st.tuples(
-    st.floats(-145.0, 145.0),
-    *[st.one_of(st.floats(*joint.limits_deg), st.sampled_from(joint.limits_deg)) for joint in JOINTS[1:5]],
+    *[st.one_of(st.floats(*joint.limits_deg), st.sampled_from(joint.limits_deg)) for joint in JOINTS[:5]]
 )
 
 
 @given(at_deg=POSTURES, way=st.tuples(*[st.floats(-1.0, 1.0)] * 3), speed_m_s=st.floats(0.005, 0.1))
+# Its base at its limit, it was led in by half a millimetre a second, at 45 deg to the way, and nobody was told.
+@example(at_deg=(145.0, 79.8, -60.4, -52.8, -47.5), way=(0.0, -1.0, 0.0), speed_m_s=0.03)
 @settings(max_examples=60)
 def test_a_tool_is_led_straight_on_or_told_why_not_and_never_left_standing(
     at_deg: tuple[float, ...], way: tuple[float, float, float], speed_m_s: float
@@ -329,7 +330,7 @@ def test_a_tool_is_led_straight_on_or_told_why_not_and_never_left_standing(
     arm = bent((*at_deg, 0.0))
     unit = np.array(way) / np.linalg.norm(way)
     velocity, places = tuple((speed_m_s * unit).tolist()), [tool(arm)]
-    for beat in range(12):
+    for beat in range(30):
         reply = arm.ask(Jog(arm.tick + 100, (), velocity, begin=beat == 0))
         if not reply.ok:
             assert reply.code == "UNREACHABLE", reply
@@ -342,7 +343,7 @@ def test_a_tool_is_led_straight_on_or_told_why_not_and_never_left_standing(
     along = moved @ unit
     assert (np.diff(along) > -1e-9).all()
     assert (np.linalg.norm(moved - along[:, None] * unit, axis=1) < 0.1 * along + 0.0005).all()
-    assert len(places) < 12 or along[-1] > 0.0001
+    assert len(places) < 30 or along[-1] > 0.0005
 
 
 def test_the_tool_is_led_no_farther_out_than_the_arm_can_lift_it_back() -> None:
