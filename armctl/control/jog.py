@@ -47,8 +47,10 @@ DAMPING_M2 = 1e-4
 # is little of it then, and all joints count as bent a hair more, without which a stretched arm would bend no way.
 LEADS = ((DAMPING_M2, 0.0, 1.0), *((1e-6, 1e-3, 0.5**halvings) for halvings in range(6)))
 # The look ahead. Straight is what goes aside by no more than a share of the way ahead, or, on the way in from the edge
-# of the reach, by what no servo resolves. A speed below the last of these, or half of what is asked for, is none.
-AHEAD_S, ASIDE, ASIDE_M, LEAST_M_S = 0.15, 0.1, 1e-4, 3e-4
+# of the reach, by what no servo resolves: there a tool sets off along its way from rest, so that the second half of the
+# way ahead is up to three times the first; of one that is led on evenly both are alike. A speed below the last of
+# these, or half of what is asked for, is none.
+AHEAD_S, ASIDE, ASIDE_M, SETS_OFF, LEAST_M_S = 0.15, 0.1, 1e-4, 1.5, 3e-4
 # How far a joint may stay behind its goal where it lifts the arm. More is beyond the largest correction, with what is
 # trimmed and what speed takes: the tool would sink by centimetres on its way back.
 HEAVIEST_RAD = math.radians(6.5)
@@ -193,7 +195,8 @@ def _leads_straight(robot: Robot, q: Sequence[float], velocity: Sequence[float],
     begin_m, middle_m, end_m = (_dot(place, tool_m_s) / speed_m_s for place in places_m)
     along_m, way_m = end_m - begin_m, [b - a for a, b in zip(places_m[0], places_m[2], strict=True)]
     aside_m = math.sqrt(max(0.0, _dot(way_m, way_m) - along_m * along_m))
-    most_m = max(ASIDE * along_m, ASIDE_M if end_m - middle_m > 1.5 * (middle_m - begin_m) else 0.0)
+    sets_off = end_m - middle_m > SETS_OFF * (middle_m - begin_m)
+    most_m = max(ASIDE * along_m, ASIDE_M if sets_off else 0.0)
     return aside_m <= most_m and along_m >= AHEAD_S * min(LEAST_M_S, 0.5 * speed_m_s)
 
 
