@@ -274,6 +274,18 @@ def test_a_push_counts_from_the_stop_on(holding: Bench, asked: str, ticks: int, 
     assert holding.red == broken
 
 
+@pytest.mark.parametrize(("ticks", "broken"), [(8, set()), (24, {"stall"})])
+def test_what_is_stopped_may_push_while_the_program_is_late_and_no_longer(
+    holding: Bench, ticks: int, broken: set[str]
+) -> None:
+    holding.feel(0.5)
+    holding.ask("hold")
+    holding.ticks(4, Mode.HOLDING)
+    holding.now_s += 1.4
+    holding.ticks(ticks, Mode.HOLDING)
+    assert holding.red == broken
+
+
 def test_what_is_stopped_may_push_longer_where_a_servo_was_not_heard(holding: Bench) -> None:
     holding.feel(0.5)
     holding.ask("hold")

@@ -338,7 +338,8 @@ class StandingJudge(ShaftJudge):
             return
         self._push_s[i] = min(self._push_s[i], now_s)
         told_s = self._fault_s if self._codes else self._stopped_s if self._mode == HOLDING else math.inf
-        stopped_s = now_s - max(self._push_s[i], told_s)
+        # A program that was late could not see it while it was.
+        stopped_s = now_s - max(self._push_s[i], told_s, self._late_s)
         # A joint that is told to be blocked is relieved at once, if every servo was heard.
         blocked = self._codes == {"BLOCKED"} and self._named.get("BLOCKED") == self._arm.servo_ids[i] and self._clean
         # What is stopped is relieved as soon as it stands, if every servo is heard and hears.
