@@ -345,6 +345,7 @@ class _Log:
 
     def __post_init__(self) -> None:
         holding: set[int] = set()
+        began_s: dict[int, float] = {}
         unheard = False
         for log in sorted(self.folder.glob("*.mcap")):
             for message in reader.read(log, (SERVOS, COMMAND, ROSOUT, CYCLE)):
@@ -358,12 +359,15 @@ class _Log:
                 elif message.topic == ROSOUT:
                     if value["level"] >= 40:
                         self.codes.append(value["function"])
-                elif value["tick"] not in self.cycles and self.begin_s <= value["now_ns"] / 1e9 < self.end_s:
-                    self.cycles[value["tick"]] = value
-                    self.unheard += unheard
+                else:
+                    at_s = began_s[value["tick"]] = value["now_ns"] / 1e9
+                    if value["tick"] not in self.cycles and self.begin_s <= at_s < self.end_s:
+                        self.cycles[value["tick"]] = value
+                        self.unheard += unheard
         if len(self.cycles) < 2:
             raise ArmctlError(f"{self.folder}: the log tells of {len(self.cycles)} ticks under load")
-        self.holds_s = sorted(cycle["now_ns"] / 1e9 for tick, cycle in self.cycles.items() if tick in holding)
+        # The last of the stops may be taken up once the load is over.
+        self.holds_s = sorted(at_s for tick, at_s in began_s.items() if tick in holding)
 
     def taken_s(self, stop: _Stop) -> float:
         """When the control step had taken up a stop [s]; NaN: never."""
