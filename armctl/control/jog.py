@@ -112,7 +112,7 @@ def _too_heavy(s: Tick, q: Sequence[float], velocity: Sequence[float]) -> str:
         behind_rad = abs(after + trim_rad) + abs(row[-3])  # friction adds to what a joint lifts
         if behind_rad > HEAVIEST_RAD and abs(after) > abs(before):
             most_deg = math.degrees(HEAVIEST_RAD)
-            return f"{joint.name} would lift the arm more than {most_deg:.1f} deg behind its goal, and the tool sink"
+            return f"{joint.name} would lift the arm more than {most_deg:.1f} deg behind its goal: the tool would sink"
     return ""
 
 

@@ -25,6 +25,7 @@ from armctl.errors import RequestRefused
 from armctl.messages import LagModel
 from armctl.trajectory.target import MoveRequest
 from proving import place
+from proving.figures import violated
 from proving.served_arm import ServedArm, identified
 from proving.truth import FloatArray, off_line_mm, within
 from proving.workers import WORKERS, carry_out
@@ -114,14 +115,9 @@ def prove(
     began_s = time.monotonic()
     done = carry_out(run, [Trial(seed * 1000 + k, targets, rows) for k in range(arms)], tell, workers)
     table = [_row(name, [way for one in done for way in one["ways"][name]]) for name in rows]
-    violations = [
-        f"{row['what']}: median {row['median_mm']}, 95 % {row['share_mm']} mm, bound {row['bound']}"
-        for row in table
-        if not row["held"]
-    ]
     return {
         "runs": sum(row["ways"] for row in table),
-        "violations": [*violations, *(f"arm {one['seed']}, {text}" for one in done for text in one["broken"])],
+        "violations": violated(table, done),
         "rows": table,
         "told": sum(one["told"] for one in done),
         "seconds": round(time.monotonic() - began_s, 1),

@@ -37,6 +37,7 @@ from armctl.sim.spec import RANDOM_SPEC, ArmSpec
 from armctl.trajectory.grasp import ReachRequest
 from armctl.trajectory.target import MoveRequest
 from armctl.trajectory.transfer import TransferRequest
+from proving.figures import violated
 from proving.reading import TICK_DEG
 from proving.served_arm import Look, ServedArm, identified
 from proving.truth import FloatArray, within
@@ -350,12 +351,7 @@ def prove(
     trials = [Trial(seed * 1000 + k, targets, rows, correction) for k in range(arms)]
     done = carry_out(run, trials, tell, workers)
     table = [row for name in rows for row in _rows(name, [stop for one in done for stop in one["stops"][name]])]
-    violations = [
-        f"{row['what']}: median {row['median_mm']}, 95 % {row['share_mm']} mm, bound {row['bound']}"
-        for row in table
-        if not row["held"]
-    ]
-    violations += [f"arm {one['seed']}, {text}" for one in done for text in one["broken"]]
+    violations = violated(table, done)
     refused = [text for one in done for text in one["refused"]]
     return {
         "runs": sum(len(stops) for one in done for stops in one["stops"].values()),
