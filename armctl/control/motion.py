@@ -117,7 +117,7 @@ def move(s: Tick, motion: Motion) -> None:
 def share_of_step(s: Tick, goal: list[int]) -> float:
     """How much of the way from the last goal to `goal` may be sent now: a servo that lags behind is waited for."""
     share = 1.0
-    for servo, last, tick in zip(s.servos, s.state.goal, goal, strict=False):
+    for servo, last, tick in zip(s.servos, s.state.goal, [*goal, *s.beside(goal)], strict=True):
         assert servo is not None
         ahead = abs(tick - servo.position)
         if ahead > LEAD_TICKS:

@@ -206,8 +206,8 @@ def go_to_rest(s: Tick) -> None:
         case Phase.PARK_GOING | Phase.FAULT_GOING:
             s.go(Trigger.ARRIVED)
         case _ if s.fresh and all(
-            abs(now.position_rad - joint.rest_rad) <= REST_TOLERANCE_RAD
-            for now, joint in zip(s.joints, joints, strict=True)
+            abs(now.position_rad - joints[servo.of].rest_rad) <= REST_TOLERANCE_RAD
+            for now, servo in zip(s.each, s.wire, strict=True)
         ):
             s.events.append(Event("info", "PARKED", "the arm is at its rest pose; torque goes off"))
             s.go(Trigger.PARKED)

@@ -23,7 +23,7 @@ LED_OFF_TICKS = math.radians(12.0) / ax12a.TICK_RAD
 IN_TIME = 0.9
 # Of a period, what a ramp takes that begins at the shaft.
 RAMP_SHARE = 0.1
-# By so much in a tick the second servo of a joint comes nearer to where it belongs beside the first one.
+# A second servo nears its place beside the first one by this in a tick, but in a fault: they may be relieved apart.
 ALIGN_TICKS = 1
 Made = TypeVar("Made")
 # Slowest moving speed written (10.7 deg/s): a servo that holds must keep the authority to return to its goal.
@@ -85,7 +85,7 @@ def of_latest_arm(make: Callable[..., Made]) -> Callable[..., Made]:
 
 @of_latest_arm
 def wire_joints(arm: ArmConfig) -> tuple[WireJoint, ...]:
-    """Every servo of an arm in the units of the wire: those of its joints, and behind them the second ones of pairs."""
+    """Every servo of an arm in the units of the wire: the first ones of all joints, then the second ones of pairs."""
     return tuple(map(_wire_joint, arm.servos))
 
 
@@ -302,8 +302,8 @@ class Tick:
         state = self.state
         self.find_goals()
         state.settings = tuple([servo.settings for servo in self.servos if servo is not None])
-        state.error_since_ns = state.push_since_ns = ()
-        state.foreign_since_ns, state.foreign_ns, state.yielded, state.powered = 0, 0, False, True
+        state.error_since_ns, state.push_since_ns, state.foreign_since_ns, state.foreign_ns = (), (), 0, 0
+        state.yielded, state.powered = False, True
 
     def find_goals(self) -> None:
         """Take the goals of servos that have all been heard as they are."""
@@ -349,6 +349,17 @@ class Tick:
         shown = self.status(index).goal
         return shown == self.state.goal[index] or any(goal[index] == shown for goal in self.state.sent)
 
+    def beside(self, goal: Sequence[int]) -> list[int]:
+        """Goals [tick] of the second servos that `goal` leaves out: each goes along with the first one."""
+        last, found, most = self.state.goal, [], 0 if self.state.phase in LATCHED else ALIGN_TICKS
+        for i, servo in enumerate(self.wire[len(goal) :], start=len(goal)):
+            place = servo.beside(goal[servo.of])
+            if last:
+                off = (before := servo.beside(last[servo.of])) - last[i]
+                place = servo.within_limits(last[i] + place - before + min(max(off, -most), most))
+            found.append(place)
+        return found
+
     def send_goal(self, ticks: Sequence[int], within: float = 1.0) -> None:
         """Goal and speed for every servo, inside the limits; each arrives `within` so many ticks from its ramp.
 
@@ -356,14 +367,8 @@ class Tick:
         """
         if self.state.letting_go is not None:
             return
-        goal = [joint.within_limits(tick) for joint, tick in zip(self.wire, ticks, strict=False)]
-        last = self.state.goal
-        for i, servo in enumerate(self.wire[len(goal) :], start=len(goal)):
-            beside = servo.beside(goal[servo.of])
-            if last:
-                most = abs(goal[servo.of] - last[servo.of]) + ALIGN_TICKS
-                beside = min(max(beside, last[i] - most), last[i] + most)
-            goal.append(beside)
+        first = [joint.within_limits(tick) for joint, tick in zip(self.wire, ticks, strict=False)]
+        goal = [*first, *self.beside(first)]
         self.ramp = self.ramps()
         begin, tick_rad_s = self.ramp or goal, ax12a.TICK_RAD / (within * self.period_s)
         limits = [joint.speed_limit_units for joint in self.wire]

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from armctl.clock import NS_PER_S, VirtualClock
+from armctl.control.motion import LEAD_TICKS, ROUNDING_TICKS
 from armctl.control.pairs import AGAINST_RATIO
 from armctl.dynamixel import ax12a
 from armctl.json_text import from_json, to_json
@@ -116,6 +117,21 @@ def test_a_motion_slows_down_where_a_horn_slips() -> None:
     assert rig.loop.state.faults[0].servo_id == 3
 
 
+@pytest.mark.parametrize("apart_ticks", [25.0, -25.0])
+def test_no_goal_is_farther_ahead_of_either_servo_of_a_pair_than_one_may_be(apart_ticks: float) -> None:
+    """The second one is behind by what its horn has slipped, and by what every servo is that turns fast."""
+    rig = Rig(arm=ARM, spec=ALIKE).holding().at()
+    rig.fault("pair_mismatch", 12, value=apart_ticks)
+    rig.ticks(40, Run(5, rig.turned(60.0, joint=1, seconds=1.2)), Run(6, rig.turned(-60.0, joint=1, seconds=1.2)))
+    before = [r for r in rig.records if r.outputs.goal is not None and r.outputs.mode is Mode.MOVING]
+    for record in before:
+        assert record.outputs.goal is not None
+        said = [servo.registers for servo in record.inputs.sample.servos]
+        seen = [ax12a.register_value(ax12a.PRESENT_POSITION, block) for block in said if block]
+        ahead = [abs(a - b) for a, b in zip(record.outputs.goal.ticks, seen, strict=True)]
+        assert max(ahead) <= LEAD_TICKS + ROUNDING_TICKS, f"at {record.inputs.now_ns / NS_PER_S:.1f} s"
+
+
 def test_some_ticks_are_no_mismatch() -> None:
     rig = Rig(arm=ARM, spec=ALIKE).holding().at()
     rig.fault("pair_mismatch", 12, value=APART_TICKS - 3.0)
@@ -182,6 +198,39 @@ def test_a_pair_parks_and_goes_limp() -> None:
     rig.ticks(150, Park(5))
     assert rig.replies()[5].ok
     assert rig.stiff() == []
+
+
+def test_servos_that_read_apart_do_not_pull_at_each_other_on_a_way_to_rest() -> None:
+    rig = Rig(arm=ARM, spec=ALIKE).holding().at()
+    rig.fault("pair_mismatch", 12, value=20.0)
+    rig.ticks(30)
+    assert rig.code() == "PAIR_MISMATCH"
+    for servo_id in ARM.servo_ids:
+        rig.fault("hot", servo_id, value=67.0)
+    began = len(rig.records)
+    worst = 0.0
+    for _ in range(250):
+        rig.tick()
+        worst = max(worst, against(rig))
+    told = [event.code for record in rig.records[began:] for event in record.outputs.events]
+    assert {"PLAN_BEGIN", "NOT_AT_REST"} <= set(told)
+    assert worst < AGAINST_RATIO
+    assert len(rig.stiff()) == len(ARM.servos)
+
+
+def test_torque_is_not_cut_where_one_servo_of_a_pair_shows_that_the_arm_is_not_at_rest() -> None:
+    """A horn slips as the arm arrives: one servo is before its place, the other beyond it, their mean at rest."""
+    arm = paired_arm({"table": [[170, 853], [760, 263]]})
+    rig = Rig(arm=arm, spec=ALIKE).holding().at()
+    rig.ticks(150, Park(5))
+    modes = [record.outputs.mode for record in rig.records]
+    took = len(modes) - modes.index(Mode.PARKING) - modes[::-1].index(Mode.PARKING)
+    rig = Rig(arm=arm, spec=ALIKE).holding().at()
+    rig.ticks(took - 1, Park(5))
+    rig.fault("pair_mismatch", 12, value=25.0)
+    rig.ticks(30)
+    assert rig.replies()[5].code in ("NOT_AT_REST", "PAIR_MISMATCH")
+    assert len(rig.stiff()) == len(ARM.servos)
 
 
 def test_an_arm_of_single_servos_is_not_told_of_pairs() -> None:
