@@ -5,7 +5,7 @@ import pytest
 from armctl.dynamixel import ax12a
 from armctl.messages import Mode
 from proving.rules import RED
-from tests.proving.judged import ARM, MIDDLE, PERIOD_S, Bench, running
+from tests.proving.judged import ARM, JUDGED, MIDDLE, PERIOD_S, Bench, running
 
 
 def test_every_rule_that_is_not_kept_yet_is_one_of_the_judges() -> None:
@@ -373,3 +373,33 @@ def test_torque_comes_on_only_where_the_supply_is_in_range_as_servos_tell_it(vol
     bench.ask("torque_on")
     bench.write(0, ax12a.TORQUE_ENABLE, 1, torque=True)
     assert bench.red & {"cause"} == broken
+
+
+@pytest.mark.parametrize(("ticks", "broken"), [(2, set()), (3, {"rest"}), (-20, {"5", "7", "rest"})])
+def test_a_goal_that_was_lost_in_a_silence_may_come_before_the_way_to_rest(
+    holding: Bench, ticks: int, broken: set[str]
+) -> None:
+    holding.stand_off_rest()
+    holding.ticks(3, Mode.FAULTED, "OVERLOAD")
+    holding.at(390.0)
+    holding.tick(Mode.FAULTED, "OVERLOAD")
+    holding.move(ticks, follow=False, mode=Mode.FAULTED, code="OVERLOAD")
+    assert holding.red == broken
+
+
+@pytest.mark.parametrize(("before_s", "broken"), [(0.02, set()), (0.3, {"5"})])
+def test_a_horn_that_slips_as_torque_goes_off_at_rest_could_not_be_seen(before_s: float, broken: set[str]) -> None:
+    bench = Bench()
+    for i, servo in enumerate(bench.servos):
+        rest = JUDGED.servos[i].rest_tick
+        servo.goal = round(rest)
+        bench.at(rest, i)
+    bench.ask("park")
+    bench.ticks(3, Mode.PARKING)
+    bench.plan("pair_mismatch", 9.0)
+    if before_s > PERIOD_S:
+        bench.ticks(round(before_s / PERIOD_S), Mode.PARKING)
+    bench.servos[0].sensed_tick += 25
+    bench.now_s += min(before_s, 0.02)
+    bench.write(0, ax12a.TORQUE_ENABLE, 0, torque=False)
+    assert bench.red == broken
