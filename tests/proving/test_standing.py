@@ -375,18 +375,6 @@ def test_torque_comes_on_only_where_the_supply_is_in_range_as_servos_tell_it(vol
     assert bench.red & {"cause"} == broken
 
 
-@pytest.mark.parametrize(("ticks", "broken"), [(2, set()), (3, {"rest"}), (-20, {"5", "7", "rest"})])
-def test_a_goal_that_was_lost_in_a_silence_may_come_before_the_way_to_rest(
-    holding: Bench, ticks: int, broken: set[str]
-) -> None:
-    holding.stand_off_rest()
-    holding.ticks(3, Mode.FAULTED, "OVERLOAD")
-    holding.at(390.0)
-    holding.tick(Mode.FAULTED, "OVERLOAD")
-    holding.move(ticks, follow=False, mode=Mode.FAULTED, code="OVERLOAD")
-    assert holding.red == broken
-
-
 @pytest.mark.parametrize(("before_s", "broken"), [(0.02, set()), (0.3, {"5"})])
 def test_a_horn_that_slips_as_torque_goes_off_at_rest_could_not_be_seen(before_s: float, broken: set[str]) -> None:
     bench = Bench()

@@ -19,8 +19,6 @@ REST_TICKS = 3.0 / TICK_DEG + 2.0
 LED_TICKS = 12.0 / TICK_DEG + NOISE_TICKS
 # After so long a write that nobody acknowledged is sent once more.
 AGAIN_S, AGAIN_LATE_S = 0.006, 0.04
-# By so little a servo that was silent is led back to what was decided for it meanwhile; that is no way to rest.
-BACK_TICKS = 2
 # A torque-on takes so long at most, without the ticks in which a servo is not heard.
 ASKED_S = 2.0
 # How long a `clear` may wait until every servo is identified.
@@ -45,8 +43,6 @@ class TorqueJudge(StandingJudge):
         self._told = [0] * n
         # Where each was before anything sent the arm to rest.
         self._came = [0] * n
-        # What each was first led on from, by when it was told that the arm goes to rest.
-        self._begun: dict[tuple[int, float], int] = {}
         # Whose EEPROM forbids torque.
         self._unfit: set[int] = set()
         # When the last tick was over.
@@ -175,9 +171,7 @@ class TorqueJudge(StandingJudge):
         if self._clears_and_moves and (goes_back or not self._may_go_to_rest(now_s)):
             self._unless_cleared.append(("7", now_s, i, f"{text}, as was asked for, {self._code} being latched"))
             return
-        begun = self._begun.setdefault((i, self._announced_s), known)
-        if abs(goal - begun) > BACK_TICKS:
-            self._advances_to_rest(now_s, i, text)
+        self._advances_to_rest(now_s, i, text)
         if goes_back:
             self._violate("7", now_s, i, f"{text}, away from rest, {self._code} being latched")
 
