@@ -74,6 +74,10 @@ def detect_faults(s: Tick) -> None:
         _detect_contact(s)
     elif state.powered is False:
         _detect_torque(s)
+    elif state.phase is Phase.FAULTED and s.fresh and not state.goal:
+        for i, servo in enumerate(s.servos):  # found stiff, and not taken over before `clear`: nobody is to be pushed
+            if servo is not None and servo.torque_enabled:
+                keep_here(s, i)
     if s.arm.pairs:
         detect_mismatch(s)
     _detect_strain(s)

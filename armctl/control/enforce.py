@@ -74,9 +74,12 @@ def _name_the_stiff(s: Tick, index: int) -> None:
 def stay(s: Tick, index: int) -> None:
     """Decide that a joint's goal is where it is now: once, so that gravity does not walk it down.
 
-    Each servo of it stays at its own place, so that two do not pull at each other.
+    Each servo of it stays at its own place, so that two do not pull at each other. Nobody knows where one is that is
+    not heard: it is not to be brought back.
     """
     here, of = s.here(index), s.wire[index].of
+    unheard = [i for i, servo in enumerate(s.wire) if servo.of == of and s.heard(i) is None]
+    s.state.limp = (*s.state.limp, *set(unheard).difference(s.state.limp))
     s.remember(tuple([s.here(i) if servo.of == of else s.state.goal[i] for i, servo in enumerate(s.wire)]))
     s.state.ramp = ()
     if (f := s.state.following) is not None:

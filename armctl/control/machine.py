@@ -338,7 +338,7 @@ class State:
     yielded: bool = False
     # Servos, by index, that were seen far from the goal decided for them in the tick before, led by another.
     led_off: tuple[int, ...] = ()
-    # Servos, by index, that have been limp since they last showed the goal decided for them.
+    # Servos, by index, that since they last showed their goal have been limp, or unheard as their place was decided.
     limp: tuple[int, ...] = ()
     looks: tuple[Look, ...] = ()
     # Output of each joint that came back after a relief: a weight; empty: none did.

@@ -139,11 +139,13 @@ def pushes(s: Tick) -> list[float]:
 def _beyond_bound(s: Tick) -> list[float]:
     """By how much every joint's output is beyond what may be; below 0: it is not."""
     beyond = []
-    for joint, (low, high) in zip(s.joints, explained_ratio(s), strict=True):
+    for i, (joint, (low, high)) in enumerate(zip(s.joints, explained_ratio(s), strict=True)):
         # Where the supply is low a motor is weaker, and friction is what it was.
         friction = FRICTION_RATIO * max(1.0, RATED_V / max(joint.voltage_V, 1.0))
         more = max(low - joint.load_ratio, joint.load_ratio - high)
-        beyond.append(more - max(PUSH_RATIO - (high - low) / 2.0, friction))
+        own = [s.each[k].torque_enabled for k, servo in enumerate(s.wire) if servo.of == i]
+        works = max(sum(own), 1) / len(own)  # a pair of which one is limp pushes with half of its strength at most
+        beyond.append(more - max(PUSH_RATIO * works - (high - low) / 2.0, friction * works))
     return beyond
 
 

@@ -164,6 +164,23 @@ def test_a_blocked_pair_is_relieved_as_one_joint() -> None:
     assert all(abs(rig.simulated.servos[i].output) < 0.5 for i in SHOULDER)
 
 
+def test_a_servo_that_was_silent_as_its_joint_was_relieved_stays_where_it_is_once_it_is_heard() -> None:
+    """Where it was by then nobody knew; its partner's horn slips meanwhile, which takes it along."""
+    rig = Rig(arm=ARM, spec=ALIKE).holding().at()
+    rig.ticks(12, Run(5, rig.way((0.0, 70.0, -10.0, -10.0, 0.0, 0.0), 4.0)))
+    rig.fault("blocked_joint", 2)
+    rig.ticks(5)
+    silence = rig.fault("mute", 2)
+    while not rig.code():
+        rig.ticks(1)
+    assert rig.code() == "BLOCKED"
+    rig.fault("pair_mismatch", 12, value=20.0)
+    rig.ticks(10)
+    rig.simulated.faults.end(silence)
+    rig.ticks(4)
+    assert against(rig) < AGAINST_RATIO
+
+
 @pytest.mark.parametrize("apart_ticks", [40, -40])
 def test_a_pair_that_was_found_with_goals_of_another_program_apart_is_relieved_at_once(apart_ticks: int) -> None:
     """Each is blocked by the other. Before, where their joint bore nothing that way, they pushed until they tripped."""

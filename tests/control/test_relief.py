@@ -262,3 +262,17 @@ def test_what_another_program_wakes_bears_its_weight_and_does_not_sink() -> None
     assert (arm.code(), arm.get(2, ax12a.GOAL)) == ("NOT_LIMP", given)
     works(0.95)
     assert arm.get(2, ax12a.GOAL) == arm.get(2, ax12a.PRESENT_POSITION)
+
+
+def test_a_process_that_finds_an_arm_that_pushes_relieves_it_before_it_is_taken_over() -> None:
+    """Its start found one servo silent, so it waits for `clear`."""
+    rig = blocked()
+    rig.fault("mute", 5, duration_s=2.0)
+    rig.restart()
+    rig.ticks(15)
+    assert rig.code() == "SERVO_SILENT"
+    assert rig.outputs()[0] > NEAR_ZERO
+    rig.ticks(15)
+    assert rig.code() == "SERVO_SILENT"
+    assert rig.outputs()[0] < NEAR_ZERO
+    assert len(rig.stiff()) == len(rig.simulated.servos)
