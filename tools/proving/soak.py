@@ -299,8 +299,9 @@ def prove(
             for number, invariant, at_s, text in sorted(total.failures)[:100]
         ],
         "red": [{"rule": rule, "episodes": len(found), "first": min(found)} for rule, found in _by_rule(total.red)],
-        "pairs_never_met": never_met(total.met),
-        "pairs": list(table(total.met)),
+        # Of one episode by itself nobody asks which faults met.
+        "pairs_never_met": never_met(total.met) if episode is None else [],
+        "pairs": list(table(total.met)) if episode is None else [],
         "grown_MiB": round(total.grown_mib, 2),
         "repeat": repeat,
         "seed": seed,
