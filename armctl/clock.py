@@ -109,14 +109,16 @@ def ask_for_real_time() -> None:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
 
 
-def ask_for_precedence() -> None:
-    """Ask to go before what else is computed (niceness -10, as the installed service has); it goes on without.
+def ask_for_precedence(pid: int | None = None) -> None:
+    """Ask that a process (None: this one) goes before what else is computed (niceness -10, as the installed service
+    has); it goes on without.
 
-    Linux weighs sessions before the niceness of what is in them (sched_autogroup): one that is this process's own is
+    Linux weighs sessions before the niceness of what is in them (sched_autogroup): one that is the process's own is
     asked for as well.
     """
+    pid = os.getpid() if pid is None else pid
     with contextlib.suppress(OSError):  # no CAP_SYS_NICE and no NICE limit; or a kernel without these groups
-        os.setpriority(os.PRIO_PROCESS, 0, -10)
-        if os.getsid(0) == os.getpid():
-            with open("/proc/self/autogroup", "w", encoding="ascii") as group:
+        os.setpriority(os.PRIO_PROCESS, pid, -10)
+        if os.getsid(pid) == pid:
+            with open(f"/proc/{pid}/autogroup", "w", encoding="ascii") as group:
                 group.write("-10")

@@ -20,7 +20,7 @@ import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple, Self, cast
 
-from armctl.clock import NS_PER_S, Clock, MonotonicClock, Stalls, ask_for_real_time
+from armctl.clock import NS_PER_S, Clock, MonotonicClock, Stalls, ask_for_precedence, ask_for_real_time
 from armctl.config import ArmConfig
 from armctl.control.link import Link, LinkClosed, Ready, StartFailed, StopAsked, heartbeat
 from armctl.control.stop_lane import REQUEST_ID, StopLane
@@ -70,6 +70,7 @@ class ControlProcess:
                 stdout=subprocess.DEVNULL,
                 start_new_session=True,  # Ctrl-C in a terminal is the host's to answer
             )
+            ask_for_precedence(process.pid)  # an arm waits for it, on a busy machine too
             link.send((settings, restarted))
             return cls(process, link, heartbeat(heart.fileno()))
 
