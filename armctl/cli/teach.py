@@ -59,8 +59,9 @@ def teach_command(
             raise LogError(f"recording {sorted(taken)[0]} exists; choose another name, or delete it")
         if not yes:
             warn_of_limpness(output, commander, countdown, "the arm will go limp. Go on?")
-        output.after_interrupt = "the arm stays limp, so support it; takes that were begun are kept; `armctl torque on`"
+        output.after_interrupt = said("limp")
         commander.call("teach_begin", confirm=True)
+        output.kept = output.after_interrupt
         output.say("the arm is limp; support it")
         start = from_m
         try:

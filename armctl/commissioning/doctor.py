@@ -27,6 +27,7 @@ from armctl.dynamixel.identify import EEPROM, IDENTIFY_LATENCY_MS, SLOW_ADAPTER_
 from armctl.dynamixel.port import ADAPTER_LATENCY_MS
 from armctl.dynamixel.serial_port import usb_identity
 from armctl.errors import BusError, PortBusy, PortGone
+from armctl.recording.quota import remedy
 
 MIN_PYTHON = (3, 11)
 MAX_LATENCY_TIMER_MS = 1
@@ -76,7 +77,7 @@ def check_host(surroundings: Surroundings) -> list[Check]:
     free = shutil.disk_usage(folder).free
     writable = os.access(folder, os.W_OK)
     disk = f"{free / 2**20:.0f} MiB free in {folder}" + ("" if writable else ", not writable")
-    disk_fix = f"delete old logs in {folder}" if writable else f"sudo chown $USER {folder}"
+    disk_fix = remedy(folder) if writable else f"sudo chown $USER {folder}"
     return [
         _check("armctl", True, f"{__version__} on Python {version}"),
         _check("python", sys.version_info >= MIN_PYTHON, version),

@@ -14,7 +14,12 @@ _NO_TAKE = "no take is being recorded; take_begin comes first"
 
 
 async def begin(host: Host, client: Client) -> dict[str, Any]:
-    """Make the arm limp, verified so by the servos; the client keeps the lease until `end`."""
+    """Make the arm limp, verified so by the servos; the client keeps the lease until `end`.
+
+    Raises:
+        LogError: no take could be recorded; the arm stays as it is.
+    """
+    host.takes.check()
     with host.leases.commanding(client, "teach_begin") as lease:
         await host.exchange.request(Teach)
         if lease.lost:

@@ -122,6 +122,12 @@ def _order(log: StoredLog) -> tuple[int, int, int, str]:
     return log.number, log.begin_s, len(log.name), log.name
 
 
+def remedy(folder: Path) -> str:
+    """What helps where too little is free on the disk of this folder of logs."""
+    act = "delete old logs" if any(folder.glob("*.mcap")) else "make room"
+    return f"{act} in {folder}, or set log.free_bytes lower"
+
+
 def ages_s(logs: Sequence[StoredLog], max_age_s: float) -> list[float]:
     """How old each log is, the oldest first (rule 4)."""
     ages = [0.0]

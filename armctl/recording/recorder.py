@@ -107,6 +107,11 @@ class Recorder:
         if self._queue.qsize() < self._queue_records:
             self._queue.put(partial(self._files.note, text, time_ns))
 
+    def check(self) -> None:
+        """Raises LogError where no take can be begun now."""
+        if self._files.log_problem:
+            raise LogError(f"no take can be recorded now: {self._files.log_problem}")
+
     def begin_take(self, name: str) -> Path:
         """Record into a take as well from now on.
 
@@ -118,8 +123,7 @@ class Recorder:
         path = take_path(self._recordings_dir, name)
         if self.take_path is not None:
             raise LogError(f"take {name}: {self.take_path.stem} is being recorded; end it first")
-        if self._files.log_problem:
-            raise LogError(f"take {name}: cannot be recorded now: {self._files.log_problem}")
+        self.check()
         take = self._files.new_take(path)
         self._files.take_problem = ""
         self._queue.put(partial(self._files.begin_take, take))

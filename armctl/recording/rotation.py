@@ -307,8 +307,8 @@ class Files:
             return _problem(error)
         if free >= limits.free_bytes:
             return ""
-        need = limits.free_bytes / 2**20
-        return f"NO_SPACE: {free / 2**20:.0f} MiB free in {folder}, {need:.0f} needed; delete old logs"
+        free_mib, need_mib = (f"{size / 2**20:.0f}" for size in (free, limits.free_bytes))
+        return f"NO_SPACE: {free_mib} MiB free, {need_mib} needed; {quota.remedy(folder)}"
 
     def _watch_files(self) -> None:
         """Let go of files that are no longer where they were begun: what is written to them nobody will find."""

@@ -12,7 +12,7 @@ from armctl import client
 from armctl.cli.output import Output
 from armctl.cli.teach import Tool
 from armctl.client import Client
-from armctl.errors import RequestRefused
+from armctl.errors import LogError, RequestRefused
 from armctl.sim import control
 from armctl.sim.hand import Guided
 from tests.cli.conftest import Answer, StandIn, Typed
@@ -121,6 +121,22 @@ def test_what_a_hand_does_is_told_as_it_goes(monkeypatch: pytest.MonkeyPatch) ->
     assert told[15] == "tool 180, -120, 100 mm  0 mm/s  from the start 0 mm"
     assert told[27].endswith("from the start 120 mm  off the line 0 mm  covered 50%")
     assert told[-1].endswith("from the start 240 mm  off the line 0 mm  covered 100%")
+
+
+class FullDisk(StandIn):
+    """A daemon that has made the arm limp, and cannot record."""
+
+    def call(self, method: str, **_: object) -> dict[str, Any]:
+        return {"recordings": []}
+
+    def subscribe(self, *_: object, **__: object) -> Iterator[dict[str, Any]]:
+        raise LogError("take f2: cannot be recorded now: NO_SPACE")
+
+
+def test_whatever_ends_a_teaching_the_limp_arm_is_told(typed: Typed, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(client, "Client", FullDisk)
+    told = typed("teach", "f2", "--yes", status=1).err
+    assert not missing(told, "NO_SPACE", "next: the arm stays limp, so support it;", "`armctl torque on`")
 
 
 GUIDED = Guided(1e-9, 0.0, 1e-9)

@@ -147,7 +147,7 @@ def test_host_checks_need_no_port(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert all(check.ok for check in by_name.values())
     assert by_name["daemon"].value == "runs: /run/x"
     [full] = [check for check in check_host(surroundings(tmp_path, free_bytes=1 << 60)) if not check.ok]
-    assert (full.name, full.fix) == ("disk", f"delete old logs in {tmp_path}")
+    assert (full.name, full.fix) == ("disk", f"make room in {tmp_path}, or set log.free_bytes lower")
     monkeypatch.setattr("os.access", lambda *_: False)
     [locked] = [check for check in check_host(surroundings(tmp_path)) if not check.ok]
     assert "not writable" in locked.value

@@ -121,6 +121,8 @@ class MemoryRecorder:
     folder: Path = Path("/recordings")
     log_path: Path | None = Path("/logs/log.mcap.part")
     problem: str = ""
+    # Why no take can be begun.
+    stopped: str = ""
     dropped_records: int = 0
     records: list[TickRecord] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -136,6 +138,10 @@ class MemoryRecorder:
     def note(self, text: str, time_ns: int) -> None:
         assert time_ns > 0
         self.notes.append(text)
+
+    def check(self) -> None:
+        if self.stopped:
+            raise LogError(self.stopped)
 
     def begin_take(self, name: str) -> Path:
         self.on_begin()

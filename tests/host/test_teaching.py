@@ -65,6 +65,17 @@ async def test_a_refused_take_is_no_take(limp: Bench) -> None:
     assert limp.host.status()["recording"] is None
 
 
+async def test_where_no_take_can_be_recorded_the_arm_does_not_go_limp(bench: Bench) -> None:
+    await bench.holding()
+    bench.recorder.stopped = "NO_SPACE"
+    with pytest.raises(LogError, match="NO_SPACE"):
+        await bench.served(teaching.begin(bench.host, bench.anna))
+    bench.ticks(2)
+    assert (bench.arm.mode(), bench.host.status()["commander"]) == (Mode.HOLDING, None)
+    bench.recorder.stopped = ""
+    assert await bench.served(teaching.begin(bench.host, bench.anna)) == {"state": "teaching"}
+
+
 async def test_a_refused_teach_gives_no_lease(bench: Bench) -> None:
     task = await bench.running()
     await bench.served(bench.host.stop())

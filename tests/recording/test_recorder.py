@@ -181,7 +181,8 @@ def test_a_full_disk_stops_recording_and_nothing_else(rig: Rig, monkeypatch: pyt
     assert rig.recorder.problem.startswith("NO_SPACE: ")
     assert rig.recorder.log_path is None
     cannot(rig.recorder.end_take, why="NO_SPACE")
-    cannot(rig.recorder.begin_take, "second", why="NO_SPACE")
+    cannot(rig.recorder.begin_take, "second", why="no take can be recorded now: NO_SPACE")
+    cannot(rig.recorder.check, why="no take can be recorded now: NO_SPACE")
     monkeypatch.undo()
     rig.put(RECORDS[40:])
     assert rig.recorder.problem == ""

@@ -166,6 +166,19 @@ def test_recording_ends_before_the_disk_is_full_and_begins_again(
     assert all(check(path).mismatches == 0 for path in paths)
 
 
+@pytest.mark.parametrize(("logs", "remedy"), [(1, "delete old logs"), (0, "make room")])
+def test_a_full_disk_is_told_with_what_helps_there_and_the_name_of_the_bound(
+    tmp_path: Path, logs: int, remedy: str
+) -> None:
+    rig = Rig(tmp_path, free_bytes=2**60)
+    rig.logs.mkdir(exist_ok=True)
+    for number in range(logs):
+        (rig.logs / f"armctl-20250101T000000Z-{number:06d}.mcap").touch()
+    rig.put(RECORDS[:2])
+    assert rig.recorder.problem.endswith(f" needed; {remedy} in {rig.logs}, or set log.free_bytes lower")
+    rig.recorder.close()
+
+
 def test_a_file_that_cannot_be_begun_is_tried_again(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("armctl.recording.disk.fcntl.flock", failing(errno.ENOSPC))
     rig.put(RECORDS[:3])
