@@ -131,7 +131,7 @@ class ControlLoop:
                 due = False
         clears = [isinstance(command, Clear) and bool(self.state.faults) for command in commands]
         if self._bus.is_open and (due or self._tick == 0 or (any(clears) and self._identification is None)):
-            self._identification = Identification(self._bus, self._arm.servos)
+            self._identification = Identification(self._bus, self._arm.servos, self._arm.arm_id)
         if self._identification is None:
             return tuple(commands)
         problems = self._identification.advance(now_ns + self._identify_ns)

@@ -1,6 +1,8 @@
 """What makes servos unfit for an arm, in words that say what to do about it: `unfit.toml` has them."""
 
 import tomllib
+from collections.abc import Sequence
+from dataclasses import replace
 from importlib import resources
 from typing import NamedTuple, Protocol
 
@@ -14,8 +16,8 @@ NEEDED_SHUTDOWN = ax12a.ErrorBit.OVERHEAT | ax12a.ErrorBit.OVERLOAD
 # The factory's highest: 70 degC for an AX-12A, 85 for an AX-12+, which has the same model number.
 HOTTEST_DEGC = 85
 _SAID: dict[str, str] = tomllib.loads(resources.files(__package__).joinpath("unfit.toml").read_text("utf-8"))
-# Why a servo does not answer, or more than one does.
-SILENT, DOUBLED = _SAID["silent"], _SAID["doubled"]
+# Why a servo does not answer, or more than one does; what several ask that are not as they should be.
+SILENT, DOUBLED, WHOSE = _SAID["silent"], _SAID["doubled"], _SAID["whose"]
 
 
 class ServoJoint(Protocol):
@@ -100,6 +102,17 @@ def table_problems(joint: ServoJoint, table: bytes, port_name: str) -> list[Prob
         faults += " (wheel mode)"
     remedy = f"`armctl servo mend {joint.servo_id} --port {port_name}` (with its --arm if it has one)"
     return [problem("EEPROM_MISMATCH", joint, f"{faults}; end the daemon, type {remedy}")]
+
+
+def whose(found: Sequence[Problem], arm: str) -> list[Problem]:
+    """The same; where several servos are not those of the file, each asks first whether this is that arm.
+
+    Servos that are silent alone say nothing of it: a cable is enough for that.
+    """
+    unlike = [it for it in found if it.code in ("EEPROM_MISMATCH", "WRONG_MODEL", "SERVO_SILENT")]
+    if len(unlike) < 2 or all(it.code == "SERVO_SILENT" for it in unlike):
+        return list(found)
+    return [replace(it, text=WHOSE.format(*it.text.rpartition("; "), arm=arm)) if it in unlike else it for it in found]
 
 
 def wrong_model(joint: ServoJoint, model_number: int) -> str:

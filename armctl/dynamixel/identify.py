@@ -15,7 +15,7 @@ from typing import TypeVar
 
 from armctl.dynamixel import ax12a
 from armctl.dynamixel.bus import BUS_NOISE, NO_REPLY, PORT_GONE, STATUS_BLOCK, Reply, ServoBus
-from armctl.dynamixel.fitness import DOUBLED, SILENT, ServoJoint, bus_dead, problem, slow_adapter, table_problems
+from armctl.dynamixel.fitness import DOUBLED, SILENT, ServoJoint, bus_dead, problem, slow_adapter, table_problems, whose
 from armctl.dynamixel.packet import OVERHEAD_BYTES
 from armctl.dynamixel.port import ADAPTER_LATENCY_MS, MARGIN_MS, NS_PER_MS, QUIET_MS, RETURN_DELAY_WORST_US
 from armctl.messages import Problem
@@ -47,10 +47,14 @@ Steps = Generator[int, None, T]
 
 
 class Identification:
-    """Identifying the servos of an arm, now and then a little."""
+    """Identifying the servos of an arm, now and then a little.
 
-    def __init__(self, bus: ServoBus, joints: Sequence[ServoJoint]) -> None:
-        self._port, self._steps = bus.port, identify(bus, joints)
+    Args:
+        arm: What the arm is called.
+    """
+
+    def __init__(self, bus: ServoBus, joints: Sequence[ServoJoint], arm: str) -> None:
+        self._port, self._steps = bus.port, identify(bus, joints, arm)
         self._needs_ns = next(self._steps)
 
     def advance(self, until_ns: int = FOREVER_NS) -> tuple[Problem, ...] | None:
@@ -70,13 +74,13 @@ class Identification:
             return tuple(end.value)
 
 
-def identify(bus: ServoBus, joints: Sequence[ServoJoint]) -> Steps[tuple[Problem, ...]]:
+def identify(bus: ServoBus, joints: Sequence[ServoJoint], arm: str) -> Steps[tuple[Problem, ...]]:
     """Everything that makes this bus unfit for an arm with these joints; empty: fit.
 
     Also measures the adapter's latency, and says in `bus.firmware` what the servos run.
     """
     yield 0
-    problems = (yield from _problems(bus, joints)) if bus.is_open else []
+    problems = whose((yield from _problems(bus, joints)), arm) if bus.is_open else []
     return tuple(problems) if bus.is_open else (Problem(PORT_GONE, bus.closed_because),)
 
 

@@ -226,7 +226,7 @@ def test_what_identify_refuses_is_mended_and_nothing_else_is_written(bench: Benc
     for register, value in WRONG.items():
         bench.servos[3].set(register, value)
     assert ("EEPROM_MISMATCH", 4) in {
-        (problem.code, problem.servo_id) for problem in Identification(bench.bus, joints).advance() or ()
+        (problem.code, problem.servo_id) for problem in Identification(bench.bus, joints, "").advance() or ()
     }
     done = eeprom.mend(bench.bus, joints[3:4])
     assert {(it.register, it.found) for it in done} == {(register.name, value) for register, value in WRONG.items()}
@@ -234,7 +234,9 @@ def test_what_identify_refuses_is_mended_and_nothing_else_is_written(bench: Benc
     bench.servos[3].set(ax12a.SHUTDOWN, 36)
     bench.servos[3].set(ax12a.TEMPERATURE_LIMIT, 70)
     assert registers(bench, eeprom.EEPROM_REGISTERS) == fit
-    assert not any(problem.code == "EEPROM_MISMATCH" for problem in Identification(bench.bus, joints).advance() or ())
+    assert not any(
+        problem.code == "EEPROM_MISMATCH" for problem in Identification(bench.bus, joints, "").advance() or ()
+    )
 
 
 def test_no_servo_is_mended_while_one_of_them_must_not_be_written(bench: Bench) -> None:

@@ -153,7 +153,7 @@ class ScriptedBus(ServoBus):
 
     def identify(self, joints: Sequence[ServoJoint]) -> tuple[Problem, ...]:
         """What identifying them at one go finds unfit."""
-        return Identification(self, joints).advance() or ()
+        return Identification(self, joints, ARM.arm_id).advance() or ()
 
     def next_sample(self) -> Sample:
         """That of the next tick."""

@@ -99,6 +99,25 @@ def test_a_servo_from_the_factory_is_one_problem_that_names_both_missing_walls(b
     assert told in the_problem(bus, "EEPROM_MISMATCH", 2)
 
 
+QUESTION = f"; is this really {ARM.arm_id}? If not, start the daemon with --arm NAME (`armctl arms` lists them); "
+
+
+@pytest.mark.parametrize(("differ", "silent", "asked"), [
+    ((2, 3), (), {2, 3}), ((2,), (5,), {2, 5}), ((1, 2, 3), (6,), {1, 2, 3, 6}), ((2,), (), set()), ((), (4, 5), set()),
+])  # fmt: skip
+def test_servos_that_may_be_another_arm_s_ask_for_the_arm_before_anything_is_written_into_them(
+    bus: ScriptedBus, differ: tuple[int, ...], silent: tuple[int, ...], asked: set[int]
+) -> None:
+    for servo_id in differ:
+        bus.port.place(servo_id, ax12a.CCW_LIMIT, 600)
+    bus.port.silent = set(silent)
+    told = {problem.servo_id: problem.text for problem in bus.identify(ARM.joints)}
+    assert {servo_id for servo_id, text in told.items() if QUESTION in text} == asked
+    assert set(told) == {*differ, *silent}
+    for servo_id in differ:
+        assert told[servo_id].partition(QUESTION)[2].partition("`")[0] in ("if it is, end the daemon, type ", "")
+
+
 @pytest.mark.parametrize(
     "spoils", [[FINE, *[good_after(0, 400)] * 10], [bad_checksum] * 20], ids=["reply", "collision"]
 )

@@ -39,7 +39,7 @@ def test_position_read_is_where_the_arm_is(bench: Bench) -> None:
 
 
 def found(bench: Bench) -> list[tuple[str, int | None]]:
-    problems = Identification(bench.bus, bench.config.joints).advance() or ()
+    problems = Identification(bench.bus, bench.config.joints, "").advance() or ()
     return [(problem.code, problem.servo_id) for problem in problems]
 
 
