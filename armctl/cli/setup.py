@@ -272,19 +272,18 @@ AT_REST = ("off", "holding", "faulted", "starting", "stalled")
 def install_command(output: Output, dry_run: bool, root: Path, yes: bool, **wanted: Any) -> None:
     """Make the daemon a service that starts with the system, or bring that service up to date.
 
-    Says what it does, shows how files change that are there, asks, and restarts only what changed, while the arm is at
-    rest. Keeps configuration, calibrations and drop-ins. The adapter need not be plugged in.
+    Says what it does, shows how files change that are there and asks before it replaces them, and restarts only what
+    changed, while the arm is at rest. Keeps configuration, calibrations and drop-ins. The adapter need not be there.
     The dashboard's service is installed too, but starts only when asked:
     `sudo systemctl enable --now armctl-web`.
 
     Example: sudo armctl install --port /dev/ttyUSB0
     """
-    from armctl.commissioning.installation import SYSTEM, File, Run, installation, missing_commands
+    from armctl.commissioning.installation import SYSTEM, File, Run, hindrance, installation
 
     wanted["user"] = os.environ.get("SUDO_USER", "") if wanted["user"] is None else wanted["user"]
     acts = installation(**wanted, root=root)
-    if root == SYSTEM and not dry_run and (missing := missing_commands(acts)):
-        why = f"this system has no {', '.join(missing)}"
+    if root == SYSTEM and not dry_run and (why := hindrance(acts)):
         raise ConfigError("armctl install", "", why, "run `armctl daemon` by hand instead")
     if not dry_run and root == SYSTEM:
         _refuse_moving(act.command for act in acts if isinstance(act, Run) and act.due(root))
@@ -312,6 +311,10 @@ def _refuse_moving(commands: Iterable[Sequence[str]]) -> None:
                     raise refusal("MOVING", unit=words[-1], state=state)
 
 
+# What no uninstallation removes.
+LEFT = "left: /etc/armctl, /var/lib/armctl, /var/lib/armctl-web-lan, users and groups armctl and armctl-web"
+
+
 @command("uninstall")
 def uninstall_command(output: Output, dry_run: bool, root: Path) -> None:
     """Remove the service; configuration, calibrations, logs and recordings stay.
@@ -322,7 +325,7 @@ def uninstall_command(output: Output, dry_run: bool, root: Path) -> None:
     """
     from armctl.commissioning.installation import removal
 
-    _carry_out(output, removal(), root, dry_run, "left: /etc/armctl, /var/lib/armctl, the user and group armctl")
+    _carry_out(output, removal(), root, dry_run, LEFT)
 
 
 def _carry_out(output: Output, acts: Sequence[Act], root: Path, dry_run: bool, done: str) -> None:

@@ -34,6 +34,8 @@ from armctl.files import find_arm_file, load_arm, load_config, shipped_dirs
 SYSTEM = Path("/")
 # Where the kernel describes its devices.
 SYSFS = Path("/sys")
+# There where systemd runs the system.
+BOOTED = Path("/run/systemd/system")
 UNITS = ("armctl.service", "armctl-web.service")
 # Unit -> the one that it is made of, and what it has instead of what.
 DERIVED: dict[str, tuple[str, dict[str, str]]] = yaml.safe_load(Path(__file__).with_name("units.yaml").read_bytes())
@@ -243,14 +245,15 @@ def _behind(unit: str, prefix: Path) -> bool:
 
 def removal() -> list[Act]:
     """What takes the service away; configuration, calibrations, logs and recordings stay."""
-    units = (*UNITS, *DERIVED)
+    units, booted = (*UNITS, *DERIVED), BOOTED.is_dir
+    stop = ("systemctl", "stop", *UNITS, "armctl@*.service", "armctl-web-lan.service")
     return [
-        Run(("systemctl", "stop", *UNITS, "armctl@*.service", "armctl-web-lan.service"), may_fail=True),
-        *(Run(("systemctl", "disable", unit), may_fail=True) for unit in units),
+        Run(stop, may_fail=True, when=booted),
+        *(Run(("systemctl", "disable", unit), may_fail=True, when=booted) for unit in units),
         *(File(SYSTEMD / unit, None) for unit in units),
         File(RULES, None),
         *(File(_configuration(kind), None) for kind in reversed(CONFIGURED)),
-        Run(("systemctl", "daemon-reload")),
+        Run(("systemctl", "daemon-reload"), when=booted),
         Run(("udevadm", "control", "--reload"), when=Path("/run/udev/control").exists),
     ]
 
@@ -287,10 +290,12 @@ def carry_out(acts: Iterable[Act], root: Path, tell: Callable[[Act, bool], None]
                 raise InstallationFailed(f"{act}: {error.strerror}{remedy}") from None
 
 
-def missing_commands(acts: Iterable[Act]) -> list[str]:
-    """Commands an installation needs that this system does not have; a udev that does not run needs none."""
+def hindrance(acts: Iterable[Act]) -> str:
+    """Why the commands of an installation cannot be run here; empty: they can. A udev that does not run needs none."""
     needed = {act.command[0] for act in acts if isinstance(act, Run)} - {"udevadm"}
-    return sorted(command for command in needed if shutil.which(command) is None)
+    if missing := sorted(command for command in needed if shutil.which(command) is None):
+        return f"this system has no {', '.join(missing)}"
+    return "" if BOOTED.is_dir() else "this system was not started by systemd (a container?)"
 
 
 def udev_rules(adapter: dict[str, str]) -> str:

@@ -24,7 +24,7 @@ from armctl import client
 from armctl.cli import calibrate, main, setup
 from armctl.cli.keys import keys
 from armctl.cli.output import Output
-from armctl.commissioning import calibration
+from armctl.commissioning import calibration, installation
 from armctl.commissioning.calibration import Touch, calibration_text, load_readings, readings_text
 from armctl.config import ArmConfig
 from armctl.dynamixel import ax12a
@@ -723,8 +723,19 @@ def test_install_and_uninstall_below_a_root(tmp_path: Path, prefix: str, typed: 
     assert told["done"]
     assert {"act": "write /etc/udev/rules.d/60-armctl.rules", "due": True} in told["acts"]
     assert (tmp_path / "etc/systemd/system/armctl.service").is_file()
-    assert "left: /etc/armctl" in typed("uninstall", "--root", tmp_path).out
+    left = typed("uninstall", "--root", tmp_path).out.replace("\n", " ")
+    assert not missing(left, "left: /etc/armctl, /var/lib/armctl,", "users and groups armctl and armctl-web")
     assert not (tmp_path / "etc/systemd/system/armctl.service").exists()
+
+
+def test_a_system_without_systemd_is_refused_before_anything_is_written(
+    tmp_path: Path, prefix: str, typed: Typed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(installation, "BOOTED", tmp_path / "none")
+    monkeypatch.setattr(installation, "carry_out", Mock(side_effect=AssertionError))
+    monkeypatch.setattr("shutil.which", str)
+    said = typed("install", "--prefix", prefix, status=2).err
+    assert not missing(said, "not started by systemd (a container?); run `armctl daemon` by hand instead")
 
 
 def test_an_unknown_port_is_wrong_usage(tmp_path: Path, prefix: str, typed: Typed) -> None:

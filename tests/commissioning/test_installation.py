@@ -223,7 +223,23 @@ def test_a_command_that_fails_is_named_with_its_words() -> None:
     Run(act.command, may_fail=True).do(SYSTEM)
     with pytest.raises(InstallationFailed, match="no-such-program"):
         Run(("no-such-program",)).do(SYSTEM)
-    assert module.missing_commands([act, Run(("no-such-program",))]) == ["no-such-program"]
+    assert module.hindrance([act, Run(("no-such-program",))]) == "this system has no no-such-program"
+
+
+@pytest.mark.parametrize("booted", [True, False])
+def test_where_systemd_does_not_run_the_files_are_removed_and_nothing_is_installed(
+    booted: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "BOOTED", tmp_path if booted else tmp_path / "none")
+    monkeypatch.setattr("shutil.which", lambda command: None if command == "systemctl" else command)
+    runs = [act for act in removal() if isinstance(act, Run) and act.command[0] == "systemctl"]
+    assert {act.command[1] for act in runs if act.due(SYSTEM)} == (
+        {"stop", "disable", "daemon-reload"} if booted else set()
+    )
+    assert module.hindrance([Run(("true",))]) == (
+        "" if booted else "this system was not started by systemd (a container?)"
+    )
+    assert module.hindrance(runs) == "this system has no systemctl"
 
 
 def test_a_folder_that_cannot_be_written_is_told_with_the_act(acts: list[Act], root: Path) -> None:
