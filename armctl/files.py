@@ -175,6 +175,11 @@ def _own_data_dir() -> Path:
     return _user_dir("XDG_DATA_HOME", ".local/share") / "armctl"
 
 
+def is_file(recording: str) -> bool:
+    """Whether what a person typed for a recording means a file, also one of the current folder, and is no name."""
+    return "/" in recording or recording.endswith((".csv", ".mcap"))
+
+
 def stop_path(socket: Path) -> Path:
     """Where the daemon that listens at `socket` takes a stop, and nothing else."""
     return socket.with_name(f"{socket.name}.stop")

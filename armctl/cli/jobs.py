@@ -12,7 +12,7 @@ import click
 from armctl.cli.output import CONFIG, JSON, RECORDED, SOCKET, Output, command, off
 from armctl.cli.tables import show_rows, show_table
 from armctl.errors import ConfigError, LogError, NoDaemon
-from armctl.files import data_dir, read_text
+from armctl.files import data_dir, is_file, read_text
 
 if TYPE_CHECKING:
     from armctl.genetic.request import OptimizeRequest
@@ -127,8 +127,8 @@ def optimize_command(
             show(told["generation"] + 1, f"{told['best']:.3f} mm")
 
         try:
-            if any("/" in recording for recording in recordings):
-                raise NoDaemon  # files by path need no daemon
+            if any(map(is_file, recordings)):
+                raise NoDaemon  # files need no daemon
             with output.client() as client:
                 result = client.call("optimize", on_progress=tell, recordings=recordings, **request.model_dump())
         except NoDaemon:
@@ -163,10 +163,11 @@ def show_optimum(output: Output, result: dict[str, Any], plan: dict[str, Any]) -
 def _optimize_here(output: Output, recordings: tuple[str, ...], request: OptimizeRequest, show: Any) -> dict[str, Any]:
     from armctl.commissioning import sag_file
     from armctl.host.jobs import OptimizeJob, optimize_task
+    from armctl.recording.recordings import path_of
 
     folder = data_dir(output.config) / "recordings"
     arm = output.arm
-    paths = tuple(Path(name) if "/" in name else folder / f"{name}.mcap" for name in recordings)
+    paths = tuple(path_of(folder, name) for name in recordings)
     return optimize_task(OptimizeJob(arm, paths, request, sag_file.load(output.config, arm)), show)
 
 
@@ -233,9 +234,8 @@ def play_command(output: Output, name: str, **how: Any) -> None:
     from armctl.config import validate
     from armctl.trajectory.playback import PlayRequest
 
-    file = Path(name)
-    of_file = "/" in name or file.suffix in (".csv", ".mcap")
-    request = validate(PlayRequest, {"motion": _motion_in(file), **how} if of_file else {"name": name, **how}, "play")
+    what = {"motion": _motion_in(Path(name))} if is_file(name) else {"name": name}
+    request = validate(PlayRequest, {**what, **how}, "play")
     result = output.carry_out("playing", "play", request, kept=RECORDED)
     output.answer(result, off=off(result, "where the tool was taught to be at the same progress"))
 

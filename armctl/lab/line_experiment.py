@@ -135,7 +135,7 @@ def _line(rig: Rig, asked: Asked, config: Config) -> Line:
     if asked.measured is None:
         return asked.line
     file, name = asked.measured
-    run = recordings.load(_recording_path(config, name))
+    run = recordings.load(recordings.path_of(data_dir(config) / "recordings", name))
     return asked.line._replace(unseen_m=measured_tool.unseen_m(*measured_tool.read(file), run, rig.robot.chain))
 
 
@@ -309,9 +309,5 @@ def named_takes(config: Config, arm: ArmConfig, names: Sequence[str]) -> list[Fl
         LogError: a recording cannot be read.
         RequestRefused: a recording is another arm's; names each.
     """
-    return [take.positions_rad for take in load_takes(arm, [_recording_path(config, name) for name in names])]
-
-
-def _recording_path(config: Config, name: str) -> Path:
-    """The file of a recording: a name with a slash is a path, any other names one of the daemon's recordings."""
-    return Path(name) if "/" in name else recordings.find(data_dir(config) / "recordings", name)
+    folder = data_dir(config) / "recordings"
+    return [take.positions_rad for take in load_takes(arm, [recordings.path_of(folder, name) for name in names])]

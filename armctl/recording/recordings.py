@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from armctl.clock import NS_PER_S
 from armctl.config import NAME_PATTERN, validate
 from armctl.errors import LogError
+from armctl.files import is_file
 from armctl.json_text import named
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.robots.robot import Robot
@@ -40,6 +41,8 @@ SUFFIX = ".mcap"
 MIN_LINE_M = 1e-6
 # Of a curve that is sent to be drawn.
 MOST_POINTS = 1000
+# Names of takes in an error.
+MOST_NAMED = 8
 Line = tuple[Sequence[float], Sequence[float]]
 _log = logging.getLogger(__name__)
 
@@ -173,14 +176,25 @@ def find(folder: Path, name: str) -> Path:
     """The file of a take.
 
     Raises:
-        LogError: the name is not acceptable, or there is no such take; the message lists the known names.
+        LogError: the name is not acceptable, or there is no such take; the message lists the newest ones.
     """
     path = take_path(folder, name)
     for candidate in (path, path.with_name(path.name + PART)):
         if candidate.is_file() and not candidate.is_symlink():
             return candidate
-    known = ", ".join(take_name(found) for found in take_files(folder))
-    raise LogError(f"recording {name}: none of that name in {folder}; known: {known or 'none'}")
+    files = sorted(take_files(folder), key=lambda found: found.stat().st_mtime, reverse=True)
+    known = ", ".join(map(take_name, files[:MOST_NAMED])) or "none"
+    known += f", and {len(files) - MOST_NAMED} older ones" * (len(files) > MOST_NAMED)
+    raise LogError(f"recording {name}: none of that name in {folder}; known: {known}")
+
+
+def path_of(folder: Path, name: str) -> Path:
+    """The file that a person means: a file itself, else that of a take.
+
+    Raises:
+        LogError: as `find`.
+    """
+    return Path(name) if is_file(name) else find(folder, name)
 
 
 def take_path(folder: Path, name: str) -> Path:

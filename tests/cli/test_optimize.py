@@ -22,6 +22,14 @@ def test_the_default_profile_sets_genes_free_unlike_the_paper_s(
     assert ours["gap_ratio"] <= 0.01
 
 
+def test_a_file_of_the_current_folder_is_found_as_play_finds_it(
+    takes: list[str], tmp_path: Path, answer: Answer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(Path(takes[0]).parent)
+    names = [Path(take).name for take in takes]
+    assert answer("optimize", *names, *LINE, "--out", tmp_path / "plan.json")["plan"]["via"] == 2
+
+
 @pytest.mark.parametrize("objective", ["mean", "mix", "max"])
 def test_every_objective_makes_a_plan(objective: str, takes: list[str], tmp_path: Path, answer: Answer) -> None:
     found = answer("optimize", *takes, *LINE, "--objective", objective, "--via", "1", "--out", tmp_path / "plan.json")

@@ -1,5 +1,6 @@
 """Takes by name."""
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -108,6 +109,23 @@ def test_names_that_are_no_names_are_refused(tmp_path: Path, name: str) -> None:
 def test_a_missing_take_is_an_error_that_lists_the_known_ones(tmp_path: Path) -> None:
     take(tmp_path, "a")
     cannot(recordings.delete, tmp_path, "b", why="known: a")
+
+
+def test_of_many_takes_an_error_names_the_newest(tmp_path: Path) -> None:
+    for age_s in range(11):
+        path = tmp_path / f"take-{age_s}.mcap"
+        path.touch()
+        os.utime(path, (1e9 - age_s, 1e9 - age_s))
+    newest = ", ".join(f"take-{age_s}" for age_s in range(8))
+    cannot(recordings.find, tmp_path, "b", why=f"known: {newest}, and 3 older ones$")
+
+
+def test_what_is_typed_for_a_recording_is_a_file_or_a_name(tmp_path: Path) -> None:
+    take(tmp_path, "a")
+    assert recordings.path_of(tmp_path, "a") == tmp_path / "a.mcap"
+    for name in ("a.mcap", "./a", "../other/a.mcap", "motion.csv"):
+        assert recordings.path_of(tmp_path, name) == Path(name)
+    cannot(recordings.path_of, tmp_path, "b", why="known: a")
 
 
 def test_deleting_removes_the_take_but_not_one_being_recorded(tmp_path: Path) -> None:
