@@ -28,6 +28,9 @@ def move_command(output: Output, deg: bool, **asked: Any) -> None:
 
     if sum(asked[target] is not None for target in ("joints_rad", "point_m", "pose")) != 1:
         raise ConfigError("armctl move", "--joints/--xyz/--pose", "one target is wanted", "give just one of them")
+    farthest = max((*(asked["joints_rad"] or ()), *(asked["pose"] or ())[3:]), key=abs, default=0.0)
+    if not deg and abs(farthest) > 10.0:
+        raise ConfigError("armctl move", "", f"{farthest:g} is no angle of a joint in rad", "`--deg` takes degrees")
     for name, metres in (("joints_rad", 0), ("pose", 3)):
         if deg and asked[name] is not None:
             asked[name] = (*asked[name][:metres], *map(math.radians, asked[name][metres:]))
