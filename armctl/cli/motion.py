@@ -46,11 +46,11 @@ KEYS_HELP = "arrows: forward, back, left, right; u, d: up, down; +, -: faster, s
 
 @command("jog", SOCKET)
 def jog_command(output: Output, joint: str | None, axis: str | None, speed: float, deg: bool, seconds: float) -> None:
-    """Turn one joint, or move the tool along an axis, for as long as this command runs; with neither, by keys.
+    """Turn one joint, or move the tool along an axis, for --seconds (1 unless given); with neither, by keys.
 
-    The arm stops by itself when this command ends: by Ctrl-C, a lost connection, a closed terminal. It slows down
-    before limits and floor, and is never faster than 20 deg/s a joint. The tool is led straight or not at all: at the
-    edge of the reach, or of what the arm can lift, it stops. By keys it moves while one is held down.
+    The arm stops by itself when this command ends, also before: by Ctrl-C, a lost connection, a closed terminal. It
+    slows down before limits and floor, and is never faster than 20 deg/s a joint. The tool is led straight or not at
+    all: at the edge of the reach, or of what the arm can lift, it stops. By keys it moves while one is held down.
 
     Example: armctl jog --axis z --speed 0.02 --seconds 2
     """

@@ -23,6 +23,10 @@ from armctl.config import (
 from tests.cli.conftest import Answer, Typed
 
 
+def test_the_first_line_of_jog_says_how_long_it_moves(typed: Typed) -> None:
+    assert "for --seconds (1 unless given)" in " ".join(typed("jog", "--help").out.split())
+
+
 def test_help_lists_its_topics(typed: Typed) -> None:
     said = typed("help")
     assert all(f"  {topic} " in said.out for topic in TOPICS)
