@@ -183,6 +183,8 @@ def run_command(output: Output, plan: Path, refine: int) -> int:
     """
     from armctl.trajectory.plan import plan_from_text
 
+    if plan.suffix in (".yaml", ".yml"):
+        raise ConfigError(str(plan), "", "a plan is JSON; this looks like a program", f"`armctl program run {plan}`")
     wanted = plan_from_text(read_text(plan, "plan"), str(plan)).model_dump()
     return refined(output, "running", "run", {"plan": wanted, "refine": refine}, WANTED)
 

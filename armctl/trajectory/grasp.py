@@ -165,7 +165,7 @@ def gripper_of(on: Driven) -> tuple[int, GripperConfig]:
     if arm.gripper is None:
         others = ", ".join(arm.joint_names[robot.chain.n :]) or "none"
         why = f"its calibration has no key gripper (joints that move no tool point: {others})"
-        raise RequestRefused("NO_GRIPPER", f"arm {arm.arm_id} has no gripper: {why}")
+        raise RequestRefused("NO_GRIPPER", f"arm {arm.arm_id} has no gripper: {why}; `armctl arms` says which have one")
     index = arm.joint_names.index(arm.gripper.joint)
     if index < robot.chain.n:
         raise RequestRefused("NO_GRIPPER", f"joint {arm.gripper.joint} moves the tool point; it cannot be the gripper")
