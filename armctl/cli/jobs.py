@@ -120,6 +120,8 @@ def optimize_command(
         raise LogError(f"{out} exists; choose another name with --out, or delete it")
     how = {"via": (via,), "settings": PROFILES[profile], "free": profile == "default"}
     request = validate(OptimizeRequest, {**line, **how}, "optimize")
+    put(out, "")  # a file that cannot be written is told before the work
+    out.unlink()
     output.after_interrupt = "the optimisation has ended, and no plan was written; the arm was not moved"
     with output.progress("optimising", PROFILES[profile].generations) as show:
 
@@ -165,9 +167,8 @@ def _optimize_here(output: Output, recordings: tuple[str, ...], request: Optimiz
     from armctl.host.jobs import OptimizeJob, optimize_task
     from armctl.recording.recordings import path_of
 
-    folder = data_dir(output.config) / "recordings"
     arm = output.arm
-    paths = tuple(path_of(folder, name) for name in recordings)
+    paths = tuple(path_of(data_dir(output.config) / "recordings", name) for name in recordings)
     return optimize_task(OptimizeJob(arm, paths, request, sag_file.load(output.config, arm)), show)
 
 

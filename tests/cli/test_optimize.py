@@ -1,11 +1,13 @@
 """`armctl optimize` on files, without a daemon: both profiles, every objective, and what is refused."""
 
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
+from armctl.cli import jobs
 from armctl.genetic.algorithm import DEFAULT, PAPER
-from tests.cli.conftest import Answer
+from tests.cli.conftest import Answer, Typed
 
 LINE = ["--from", "0.18,-0.125,0.10", "--to", "0.18,0.125,0.10"]
 
@@ -28,6 +30,13 @@ def test_a_file_of_the_current_folder_is_found_as_play_finds_it(
     monkeypatch.chdir(Path(takes[0]).parent)
     names = [Path(take).name for take in takes]
     assert answer("optimize", *names, *LINE, "--out", tmp_path / "plan.json")["plan"]["via"] == 2
+
+
+def test_a_plan_that_cannot_be_written_is_told_before_the_work(
+    takes: list[str], typed: Typed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(jobs, "_optimize_here", Mock(side_effect=AssertionError))
+    assert "/proc/x.json: cannot be written" in typed("optimize", *takes, *LINE, "--out", "/proc/x.json", status=1).err
 
 
 @pytest.mark.parametrize("objective", ["mean", "mix", "max"])
