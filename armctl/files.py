@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import re
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -90,6 +91,27 @@ def load_arm(arm: str, beside: Path | None = None) -> ArmConfig:
         key = error.key if error.key in ("joints", found.robot) else f"lengths_m.{error.key}"
         raise ConfigError(str(path), key, error.problem, error.remedy) from None
     return found
+
+
+def driven_arm(first: str, told: dict[str, Any], others: bool = True) -> tuple[str, ArmConfig]:
+    """The arm that the daemon drives, behind the name or path by which it was found.
+
+    Args:
+        first: The arm that is looked at first, by name or path.
+        told: The daemon's status.
+        others: Whether it may be any other one at hand.
+    Raises:
+        ConfigError: no file of an arm says the same of it.
+    """
+    folders = calibration_dirs() if others else ()
+    for name in (first, *(str(path) for folder in folders for path in sorted(folder.glob("*.yaml")))):
+        with suppress(ConfigError):
+            arm = load_arm(name)
+            if (arm.arm_id, arm.calibration_hash) == (told["arm_id"], told["calibration_hash"]):
+                return name, arm
+    problem = f"the daemon drives arm {told['arm_id']}, calibration {told['calibration_hash']}; this is another"
+    how = "as `arm` in the configuration" if others else "by --arm"
+    raise ConfigError(first, "", problem, f"restart the daemon, or name the file of its arm {how}")
 
 
 def _with_urdf(told: dict[str, Any], robot: dict[str, Any], path: Path, folder: Path) -> dict[str, Any]:

@@ -25,7 +25,7 @@ from armctl.cli.keys import attended
 from armctl.cli.parameters import parameter, parameters, tables
 from armctl.cli.screen import Screen, filled
 from armctl.errors import ArmctlError, ConfigError, LogError, NoDaemon, RequestRefused
-from armctl.files import calibration_dirs, load_arm, load_config, served_socket
+from armctl.files import calibration_dirs, driven_arm, load_arm, load_config, served_socket
 
 if TYPE_CHECKING:
     from armctl.config import ArmConfig, Config
@@ -120,19 +120,8 @@ class Output:
         Raises:
             ConfigError: no file of an arm says the same of it.
         """
-        told = self.ask("status")
-        names = [self.arm_name or self.config.arm]
-        if self.arm_name is None:
-            names += [str(path) for folder in calibration_dirs() for path in sorted(folder.glob("*.yaml"))]
-        for name in names:
-            with suppress(ConfigError):
-                arm = load_arm(name)
-                if (arm.arm_id, arm.calibration_hash) == (told["arm_id"], told["calibration_hash"]):
-                    self.arm_name = name
-                    self.__dict__.pop("config", None)  # it names the arm
-                    return
-        problem = f"the daemon drives arm {told['arm_id']}, calibration {told['calibration_hash']}; this is another"
-        raise ConfigError(names[0], "", problem, "restart the daemon, or name the file of its arm by --arm")
+        self.arm_name, _ = driven_arm(self.config.arm, self.ask("status"), self.arm_name is None)
+        self.__dict__.pop("config", None)  # it names the arm
 
     def result(self, data: dict[str, Any]) -> bool:
         """Print `data` if JSON was asked for; whether it was."""

@@ -5,18 +5,19 @@ import itertools
 import json
 import math
 import tomllib
+from contextlib import suppress
 from pathlib import Path as FilePath
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from fastapi import APIRouter, Path, Query, Response
+from fastapi import APIRouter, Depends, Path, Query, Response
 from fastapi.responses import FileResponse
 from pydantic import Field
 
 from armctl import __version__
 from armctl.config import NAME_PATTERN, ArmConfig, Config, Frozen, Name
-from armctl.errors import LogError, RequestRefused
-from armctl.files import data_dir
+from armctl.errors import LogError, NoDaemon, RequestRefused
+from armctl.files import data_dir, driven_arm
 from armctl.host.jobs import RecordedRequest
 from armctl.host.jsonrpc import MAX_LINE_BYTES
 from armctl.host.methods import HowToRun, Named, Nothing
@@ -35,6 +36,8 @@ from armctl.web.connections import Connections
 
 # By method and path the function of `Files` that answers.
 ROUTES: dict[str, str] = tomllib.loads(FilePath(__file__).with_name("files.toml").read_text("utf-8"))
+# What answers by what the arm is like.
+BY_ARM = ("arm_", "bend", "log")
 # Of what is found in the logs, so many are shown, the newest.
 MOST_FOUND = 200
 NamePath = Annotated[str, Path(pattern=NAME_PATTERN)]
@@ -80,7 +83,7 @@ class Files:
     """The routes of one arm's files."""
 
     def __init__(self, daemon: Connections, arm: ArmConfig, config: Config) -> None:
-        self._daemon = daemon
+        self._daemon, self._configured = daemon, config.arm
         self.serve(arm)
         self.period_s = config.period_s
         self._logs = data_dir(config) / "logs"
@@ -90,12 +93,24 @@ class Files:
         """From now on it is this arm."""
         self.arm, self.robot = arm, robots.of(arm)
 
+    async def follow(self) -> None:
+        """Serve the arm that the daemon drives; where there is no daemon, it stays the one before.
+
+        Raises:
+            ConfigError: no file of an arm says the same of it.
+        """
+        with suppress(NoDaemon):
+            told = self._daemon.snapshot or await self._daemon.call("status")
+            if (self.arm.arm_id, self.arm.calibration_hash) != (told["arm_id"], told["calibration_hash"]):
+                self.serve((await asyncio.to_thread(driven_arm, self._configured, told))[1])
+
     def routes(self) -> APIRouter:
         """Every route. What does not await is run in a thread by the framework: files are read there."""
         router = APIRouter()
         for route, handler in ROUTES.items():
             method, path = route.split()
-            router.add_api_route(path, getattr(self, handler), methods=[method])
+            first = [Depends(self.follow)] if handler in BY_ARM else []
+            router.add_api_route(path, getattr(self, handler), methods=[method], dependencies=first)
         return router
 
     def arm_(self) -> dict[str, Any]:
@@ -106,7 +121,7 @@ class Files:
             gripper = {"index": arm.joint_names.index(hand.joint), **ends_rad}
         axes, tool = joint_axes(chain, np.zeros((1, chain.n)))
         return {
-            **named(arm, "arm_id", "floor_m", "temperature_limit_degC", "voltage_V"),
+            **named(arm, "arm_id", "calibration_hash", "floor_m", "temperature_limit_degC", "voltage_V"),
             "robot": arm.robot_name,
             "joints": [{"name": joint.name, "limits_rad": joint.limits_rad} for joint in arm.joints],
             "axes": [{"place_m": P[:, 0].tolist(), "direction": Z[:, 0].tolist()} for Z, P in axes],

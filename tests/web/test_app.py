@@ -15,12 +15,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armctl.config import Config
+from armctl.errors import NoDaemon
 from armctl.files import load_arm
 from armctl.kinematics import robots
 from armctl.kinematics.chain import tool_position
 from armctl.kinematics.transform import FloatArray
 from armctl.recording.recordings import load
 from armctl.web.app import create_app
+from armctl.web.connections import Connections
 from armctl.web.guard import HEADERS, TOKEN_HEADER, WRONG_BURST, Guard
 from tests.web.asking import TOKEN, asked, streamed
 from tests.words import missing
@@ -89,6 +91,34 @@ def test_a_page_can_place_the_arm_from_the_axes_it_is_given(tmp_path: Path, name
             origin = np.array(axis["place_m"])
             place = origin + turned(np.array(axis["direction"]), angle_rad) @ (place - origin)
         np.testing.assert_allclose(place, tool_position(chain, q), atol=1e-12)
+
+
+def test_the_arm_is_the_one_that_the_daemon_drives_and_no_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    driven: dict[str, str] = {}
+
+    async def call(_: Connections, method: str) -> dict[str, str]:
+        assert method == "status"
+        if not driven:
+            raise NoDaemon("nobody answers")
+        return driven
+
+    monkeypatch.setattr(Connections, "call", call)
+    guard = served(tmp_path)
+    assert get(guard, "/api/arm").json()["arm_id"] == "ax12-line"
+    for name in ("crane-plus-v2", "lanzhou-4dof"):  # the daemon was started again
+        arm = load_arm(name)
+        driven |= {"arm_id": name, "calibration_hash": arm.calibration_hash}
+        told = get(guard, "/api/arm").json()
+        assert {key: told[key] for key in driven} == driven
+        assert [joint["name"] for joint in told["joints"]] == list(arm.joint_names)
+    driven["calibration_hash"] = "of-no-file"
+    answer = get(guard, "/api/arm")
+    assert (answer.status_code, answer.json()["error"]["code"]) == (422, "CONFIG")
+    assert not missing(answer.text, "the daemon drives arm lanzhou-4dof", "of-no-file", "`arm` in the configuration")
+    driven.clear()  # there is none any more
+    assert get(guard, "/api/arm").json()["arm_id"] == "lanzhou-4dof"
 
 
 def test_answers_of_the_interface_are_not_kept(guard: Guard) -> None:

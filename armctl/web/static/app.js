@@ -51,8 +51,18 @@ function connect() {
   };
 }
 
+// Which arm this page shows, by its calibration: none yet, or, empty, none that the server knows.
+let shown = null;
+
+// Begin anew where the daemon drives another arm than before.
+function follow({ calibration_hash }) {
+  if (shown === "") shown = calibration_hash;
+  else if (shown !== null && shown !== calibration_hash) location.reload();
+}
+
 function show(latest) {
   page.snapshot = latest;
+  if (latest) follow(latest);
   const state = latest ? latest.state : settingUp() ? "setting up" : "unreachable";
   if ($("state").textContent !== state) $("state").textContent = state;
   $("state").dataset.state = state;
@@ -275,7 +285,11 @@ for (const end of ["from", "to"]) if (asked.has(end)) $("line-form").elements[en
 wire();
 connect();
 act(null, async () => {
-  const arm = page.arm = await request("/arm");
+  const arm = page.arm = await request("/arm").catch((error) => {
+    if (error.code === "CONFIG") [shown, $("scene").textContent] = ["", error.message];
+    throw error;
+  });
+  shown = arm.calibration_hash;
   $("arm-id").textContent = arm.arm_id;
   $("take-by-hand").hidden = !arm.simulated;
   $("gripper").hidden = !arm.gripper;

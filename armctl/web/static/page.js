@@ -177,5 +177,5 @@ export function fill(select, rows, wanted) {
 // The arm holds itself from now on, and the simulator's hand is no longer needed.
 export async function torqueOn() {
   await post("/torque-on");
-  if (page.arm.simulated) await post("/hand/let-go");
+  if (page.arm?.simulated) await post("/hand/let-go");
 }

@@ -74,7 +74,7 @@ function ask({ key, text, choices }, number) {
     return button;
   }));
   leaveToHand(handing && HANDY.test(key));
-  $("setup-hand").hidden = handing || !page.arm.simulated || !HANDY.test(key);
+  $("setup-hand").hidden = handing || !page.arm?.simulated || !HANDY.test(key);
   if (handing && HANDY.test(key)) byHand(number, key, text);
   else if (handing && key === "again" && text.includes("look at the tool")) answer(number, "again");
   else if (written) $("setup-word").focus();
