@@ -5,11 +5,12 @@ Nothing here looks fresher than it is: ages grow from the last tick on, also whe
 
 import math
 from collections import deque
+from dataclasses import replace
 from typing import Any
 
 from armctl.clock import NS_PER_S
 from armctl.config import ArmConfig
-from armctl.control.faults import card
+from armctl.control.faults import KINDS, card
 from armctl.json_text import named
 from armctl.kinematics.transform import matrix_from_quaternion, rpy_from_matrix
 from armctl.messages import Fault, JointState, TickRecord
@@ -112,9 +113,12 @@ def fault_snapshots(latest: TickRecord | None, lost_ns: int | None, now_ns: int)
         arm = "still; every servo keeps its last goal with the torque it has"
         cards.append(_card(fault, (arm, "wait a second, then type `armctl status`"), now_ns))
     if latest is not None:
-        now = latest.outputs
-        moving = now.progress is not None
-        cards += [_card(fault, card(fault, now.joints, moving, now.rest_in_s), now_ns) for fault in now.faults]
+        now, heard = latest.outputs, any(reading.fresh for reading in latest.inputs.sample.servos)
+        for fault in now.faults:
+            # Of an arm that is heard again a lost port says what any other fault of the bus does.
+            cause = replace(fault, code="BUS_DEAD") if heard and fault.code == "PORT_GONE" else fault
+            arm, _ = card(cause, now.joints, now.progress is not None, now.rest_in_s)
+            cards.append(_card(fault, (arm, KINDS[fault.code].remedy), now_ns))
     return cards
 
 

@@ -89,6 +89,23 @@ async def test_a_fault_tells_code_servo_time_what_the_arm_does_and_what_to_type(
     assert "armctl clear" in fault["next"]
 
 
+async def test_once_a_port_is_back_its_fault_tells_what_the_arm_does(limp: Bench) -> None:
+    def doing() -> tuple[str, str]:
+        limp.tick()
+        fault = limp.host.status()["fault"]
+        assert "armctl clear" in fault["next"]
+        return fault["code"], fault["arm"]
+
+    out_of_reach = "out of reach; every servo keeps the last goal it was given, with the torque it had"
+    limp.arm.port_open = False
+    assert doing() == ("PORT_GONE", out_of_reach)
+    limp.arm.port_open, limp.arm.silent = True, set(range(6))
+    assert doing() == ("PORT_GONE", out_of_reach)
+    limp.control.connect_again()
+    limp.arm.silent = set()
+    assert doing() == ("PORT_GONE", "limp")
+
+
 async def test_what_an_arm_does_is_not_told_from_a_tick_long_ago(limp: Bench) -> None:
     limp.clock.advance_ns(round(limp.host.period_s * NS_PER_S) + STALE_NS - 1_000_000)
     assert limp.host.status()["state"] == "off"
