@@ -134,10 +134,15 @@ def _line(snapshot: dict[str, Any]) -> str:
 # ------------------------------------------------------------------------------------ one request, one new state
 
 
-def request(output: Output, method: str, **params: Any) -> None:
-    """Ask the daemon for something that it answers with the arm's new state."""
-    state = output.ask(method, **params)
-    output.answer(state, str(state["state"]))
+def request(output: Output, method: str, **params: Any) -> int:
+    """Ask the daemon for something that it answers with the arm's new state; the exit status."""
+    answer = output.ask(method, **params)
+    if why := answer.get("unreached"):
+        output.warn(f"armctl: {why}")
+        output.refused("PORT_GONE", why, [why], "armctl status", state=answer["state"])
+        return 1
+    output.answer(answer, str(answer["state"]))
+    return 0
 
 
 def state_command(name: str, group: click.Group | None = None) -> click.Command:
@@ -146,9 +151,9 @@ def state_command(name: str, group: click.Group | None = None) -> click.Command:
     Its help stands in the table `states` beside this module.
     """
 
-    def ask(output: Output) -> None:
+    def ask(output: Output) -> int:
         output.after_interrupt = HOLDS if name == "park" else ""
-        request(output, "_".join(words))
+        return request(output, "_".join(words))
 
     words = (str(group.name), name) if group else (name,)
     typed = " ".join(words)

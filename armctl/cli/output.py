@@ -189,10 +189,10 @@ class Output:
         self.warn(text)
         self.refused("INTERRUPTED", text, [text], "armctl status")
 
-    def refused(self, code: str, message: str, reasons: list[str], following: str) -> None:
+    def refused(self, code: str, message: str, reasons: list[str], following: str, **told: Any) -> None:
         """Print what a program is told of a failure, if it can be: the failure may be that of stdout."""
         with suppress(OSError):
-            self.result({"error": {"code": code, "message": message, "reasons": reasons, "next": following}})
+            self.result({**told, "error": {"code": code, "message": message, "reasons": reasons, "next": following}})
 
     @contextmanager
     def progress(self, label: str, total: float) -> Iterator[Callable[..., None]]:

@@ -4,13 +4,17 @@ import socket
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
+from armctl.errors import ArmctlError
 from armctl.files import socket_path, stop_path
 
 # Longest wait for an answer: a control process that hangs is replaced within a second.
 PATIENCE_S = 5.0
 AGAIN_S = 0.02
+# For what the host says of a stop that is done and has met a fault.
+HOST_S = 1.0
 
 
 def stop(path: Path) -> str | None:
@@ -53,11 +57,18 @@ def typed(arguments: Sequence[str]) -> int | None:
                 chosen = path
             case _:
                 return None
+    where = socket_path(chosen)
     try:
-        state = stop(socket_path(chosen))
+        state = stop(where)
     except OSError:  # a TimeoutError is one
         return None
     if state is None:
         return None
+    if state == "faulted":
+        from armctl.client import Client
+
+        with suppress(ArmctlError), Client(where, timeout_s=HOST_S) as host:
+            if "unreached" in host.call("stop"):
+                return None  # the command line says why
     sys.stdout.write(f'{{"state": "{state}"}}\n' if json else f"{state}\n")
     return 0

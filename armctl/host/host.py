@@ -43,6 +43,8 @@ UNHEARD_NS = 300_000_000
 TAIL_NS = 300_000_000
 # What the arm does is not told from a tick that is later than its period by more than this.
 STALE_NS = 300_000_000
+# What is said of a stop while the port is gone.
+UNREACHED = "the stop did not reach the arm: its serial port is gone; support the arm, then switch its power off"
 # What is stopped when its client leaves: also a jog, whose last heartbeat may be under way.
 MOVING = ("run", "path", "play", "move", "park", "reach", "grip", "transfer", "program", "jog", "jogging")
 
@@ -181,12 +183,13 @@ class Host:
         """Hold; returns when the arm is still. Open to every client.
 
         Requests share one command while it is under way, and for half a period more where nothing else was asked since.
-        A motion that is still being checked does not begin any more.
+        A motion that is still being checked does not begin any more. While the port is gone, `unreached` says so.
         """
         if self.leases.current is not None:
             self.leases.current.stopped = True
         await self.exchange.hold(self._clock.now_ns(), round(self.period_s * NS_PER_S) // 2)
-        return self.state()
+        gone = self.latest is not None and not self.latest.inputs.sample.port_open
+        return {**self.state(), **({"unreached": UNREACHED} if gone else {})}
 
     def stop_asked(self, who: str) -> None:
         """Somebody stops the arm through the control process's own socket: what is being checked begins no more."""

@@ -1,6 +1,7 @@
 """`armctl stop` on its own way: what it takes over from the command line, and what it leaves to it."""
 
 import contextlib
+import json
 import socket
 import threading
 from collections.abc import Iterator
@@ -8,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from armctl.cli import main
+from armctl.cli.output import Output
 from armctl.client.stop import typed
 from armctl.files import stop_path
 
@@ -86,6 +89,66 @@ def test_where_too_many_wait_to_be_let_in_it_comes_again(
         assert typed(["stop", "--socket", str(tmp_path / "s")]) == 0
         serving.join()
     assert capsys.readouterr().out == "holding\n"
+
+
+@contextlib.contextmanager
+def answering(path: Path, answer: bytes) -> Iterator[list[bytes]]:
+    """Somebody who answers one caller with a line; what was heard."""
+    heard: list[bytes] = []
+
+    def serve() -> None:
+        caller, _ = listening.accept()
+        with caller:
+            heard.append(caller.recv(256))
+            caller.sendall(answer + b"\n")
+
+    with socket.socket(socket.AF_UNIX) as listening:
+        listening.bind(str(path))
+        listening.listen()
+        listening.settimeout(5.0)  # nobody may come
+        serving = threading.Thread(target=serve)
+        serving.start()
+        yield heard
+        serving.join()
+
+
+GONE = "the stop did not reach the arm: its serial port is gone; support the arm, then switch its power off"
+
+
+@pytest.mark.parametrize("unreached", [False, True])
+def test_of_a_stop_that_met_a_fault_the_host_says_whether_it_reached_the_arm(
+    unreached: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "s"
+    result = {"state": "faulted", **({"unreached": GONE} if unreached else {})}
+    answer = json.dumps({"jsonrpc": "2.0", "id": 1, "result": result}).encode()
+    with answering(stop_path(path), b"ok faulted") as lane, answering(path, answer) as host:
+        assert typed(["stop", "--socket", str(path)]) == (None if unreached else 0)
+    assert (lane, json.loads(host[0])["method"]) == ([b"stop\n"], "stop")
+    assert capsys.readouterr().out == ("" if unreached else "faulted\n")
+
+
+def test_of_a_daemon_that_hangs_the_lane_alone_answers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("armctl.client.stop.HOST_S", 0.01)
+    with answering(stop_path(tmp_path / "s"), b"ok faulted"), socket.socket(socket.AF_UNIX) as hung:
+        hung.bind(str(tmp_path / "s"))
+        hung.listen()
+        assert typed(["stop", "--socket", str(tmp_path / "s")]) == 0
+    assert capsys.readouterr().out == "faulted\n"
+
+
+@pytest.mark.parametrize("line", ["stop", "hold"])
+def test_a_stop_that_did_not_reach_the_arm_has_failed(
+    line: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(Output, "ask", lambda *_: {"state": "faulted", "unreached": GONE})
+    assert main([line, "--json"]) == 1
+    said = capsys.readouterr()
+    error = {"code": "PORT_GONE", "message": GONE, "reasons": [GONE], "next": "armctl status"}
+    assert json.loads(said.out) == {"state": "faulted", "error": error}
+    assert said.err == f"armctl: {GONE}\n"
 
 
 @pytest.mark.parametrize(

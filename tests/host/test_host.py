@@ -13,6 +13,7 @@ from armctl.host.motions import run
 from armctl.messages import Hold, Reply, Run
 from tests.host.bench import Bench
 from tests.host.doubles import refused
+from tests.words import missing
 
 # -------------------------------------------------------------------------------------------- requests
 
@@ -125,6 +126,17 @@ async def stopped_at_rest(bench: Bench) -> None:
 async def test_a_stop_of_an_arm_at_rest_waits_for_no_tick(bench: Bench) -> None:
     await stopped_at_rest(bench)
     assert len(holds(bench)) == 1
+
+
+async def test_a_stop_says_that_it_did_not_reach_the_arm_while_the_port_is_gone(bench: Bench) -> None:
+    bench.arm.port_open = False
+    bench.tick()
+    answer = await bench.served(bench.host.stop())
+    assert answer["state"] == "faulted"
+    assert not missing(answer["unreached"], "did not reach the arm", "its serial port is gone", "switch its power off")
+    bench.arm.port_open = True
+    bench.tick()
+    assert await bench.served(bench.host.stop()) == {"state": "faulted"}
 
 
 async def test_stops_close_behind_one_another_are_one_command(bench: Bench) -> None:
