@@ -25,7 +25,7 @@ from armctl.cli.keys import attended
 from armctl.cli.parameters import parameter, parameters, tables
 from armctl.cli.screen import Screen, filled
 from armctl.errors import ArmctlError, ConfigError, LogError, NoDaemon, RequestRefused
-from armctl.files import calibration_dirs, driven_arm, load_arm, load_config, served_socket
+from armctl.files import driven_arm, load_arm, load_config, served_socket
 
 if TYPE_CHECKING:
     from armctl.config import ArmConfig, Config
@@ -255,13 +255,10 @@ def next_command(error: ArmctlError, socket: str | None = None) -> str:
 def _workspace_command(socket: str | None) -> str:
     """What shows where the arm in question can reach: the daemon's arm, without a daemon the configured one."""
     with suppress(ArmctlError):
-        arms = [load_arm(load_config().arm)]
+        arm = load_arm(configured := load_config().arm)
         with suppress(NoDaemon), armctl.client.Client(socket, timeout_s=1.0) as client:
-            arm_id = client.call("status")["arm_id"]
-            arms += [load_arm(str(path)) for folder in calibration_dirs() for path in sorted(folder.glob("*.yaml"))]
-            arms = [arm for arm in arms if arm.arm_id == arm_id]
-        if arms:
-            return f"armctl workspace --robot {arms[0].robot_name}"
+            _, arm = driven_arm(configured, client.call("status"))
+        return f"armctl workspace --robot {arm.robot_name}"
     return "armctl robots"
 
 

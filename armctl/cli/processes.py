@@ -224,7 +224,7 @@ def web_command(ctx: click.Context, port: int | None, lan: bool) -> None:
 
         output = ctx.ensure_object(Output)
         page = partial(serve, ready=partial(output.ready, "address"), config_file=output.config_file, lan=lan)
-        page(output.arm, output.config, socket=socket_path(output.socket), port=port or (8443 if lan else 8080))
+        page(output.config, socket=socket_path(output.socket), port=port or (8443 if lan else 8080))
 
 
 web_command.params += [*parameters("processes", "web"), SOCKET, CONFIG, JSON]

@@ -22,7 +22,7 @@ from pydantic import Field
 from starlette.exceptions import HTTPException
 
 from armctl import __version__
-from armctl.config import ArmConfig, Config, Frozen
+from armctl.config import Config, Frozen
 from armctl.errors import ArmctlError, ConfigError, LogError, NoDaemon
 from armctl.files import tokens_path
 from armctl.host.jsonrpc import ProtocolError, error_data, strict_json
@@ -59,7 +59,6 @@ End = Annotated[list[Annotated[float, Field(allow_inf_nan=False)]], Query(min_le
 
 
 def create_app(
-    arm: ArmConfig,
     config: Config,
     *,
     socket: Path,
@@ -76,8 +75,7 @@ def create_app(
         config_file: That of the programs that a set-up starts, and where people's tokens lie.
     """
     daemon = Connections(socket, PERSON.get)
-    files = Files(daemon, arm, config)
-    set_up = SetUp(config_file, daemon, files)
+    files, set_up = Files(daemon, config), SetUp(config_file, daemon)
 
     @contextlib.asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:

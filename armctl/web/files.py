@@ -17,7 +17,7 @@ from pydantic import Field
 from armctl import __version__
 from armctl.config import NAME_PATTERN, ArmConfig, Config, Frozen, Name
 from armctl.errors import LogError, NoDaemon, RequestRefused
-from armctl.files import data_dir, driven_arm
+from armctl.files import data_dir, driven_arm, load_arm
 from armctl.host.jobs import RecordedRequest
 from armctl.host.jsonrpc import MAX_LINE_BYTES
 from armctl.host.methods import HowToRun, Named, Nothing
@@ -82,9 +82,9 @@ class HoldBody(Frozen):
 class Files:
     """The routes of one arm's files."""
 
-    def __init__(self, daemon: Connections, arm: ArmConfig, config: Config) -> None:
+    def __init__(self, daemon: Connections, config: Config) -> None:
         self._daemon, self._configured = daemon, config.arm
-        self.serve(arm)
+        self.serve(load_arm(config.arm))
         self.period_s = config.period_s
         self._logs = data_dir(config) / "logs"
         self._simulator = control_path(FilePath(config.port or "no port"))

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from armctl.clock import ask_for_precedence
-from armctl.config import ArmConfig, Config
+from armctl.config import Config
 from armctl.errors import ArmctlError, ConfigError
 from armctl.files import data_dir
 from armctl.host.service_manager import endings, notify
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 
 def serve(
-    arm: ArmConfig,
     config: Config,
     *,
     socket: Path,
@@ -65,7 +64,7 @@ def serve(
         host, scheme, name = "0.0.0.0", "https", socket_module.gethostname()
         keys = Path(state) if state else data_dir(config) / "web"
         names, (key, certificate) = (name, f"{name}.local"), _tls(keys, name)
-    _, guard = create_app(arm, config, socket=socket, token=token, port=port, names=names, config_file=config_file)
+    _, guard = create_app(config, socket=socket, token=token, port=port, names=names, config_file=config_file)
     settings = uvicorn.Config(
         guard, host=host, port=port, ssl_keyfile=key, ssl_certfile=certificate, log_level="warning", access_log=False,
         server_header=False, proxy_headers=False, ws_max_size=4096, ws_max_queue=4, http=Connection, backlog=128,

@@ -19,10 +19,8 @@ from pydantic import Field
 
 from armctl.config import Frozen
 from armctl.errors import RequestRefused
-from armctl.files import load_arm
 from armctl.host.methods import Nothing
 from armctl.web.connections import Connections
-from armctl.web.files import Files
 
 
 class Answer(Frozen):
@@ -35,15 +33,14 @@ class Answer(Frozen):
 class SetUp:
     """The set-up under way, and the daemon of the arm that was set up."""
 
-    def __init__(self, config_file: str | None, daemon: Connections, files: Files) -> None:
+    def __init__(self, config_file: str | None, daemon: Connections) -> None:
         """
         Args:
             config_file: That of the programs that are started, if one was named.
             daemon: Where the pages are told of it, and where the daemon will be that is started.
-            files: What takes the arm that runs then.
         """
         self._config = ("--config", config_file) if config_file else ()
-        self.pages, self._files = daemon, files
+        self.pages = daemon
         self._wizard: Process | None = None
         self._daemon: Process | None = None
         self._following: asyncio.Task[None] | None = None
@@ -91,7 +88,6 @@ class SetUp:
             told = json.loads(await self._daemon.stdout.readline())
             if "error" in told:
                 raise RequestRefused("NOT_STARTED", told["error"]["message"])
-            self._files.serve(load_arm(done["arm"]))
 
     def break_off(self) -> bool:
         """Interrupt the set-up under way; whether there was one."""

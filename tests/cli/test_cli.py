@@ -19,7 +19,7 @@ from armctl.cli.keys import keys
 from armctl.cli.output import HOLDS, Output, next_command
 from armctl.cli.parameters import POINT
 from armctl.errors import ArmctlError, BusError, ConfigError, LogError, NoDaemon, RequestRefused, UnreachableTarget
-from armctl.files import find_arm_file
+from armctl.files import find_arm_file, load_arm
 from tests.cli.conftest import Answer, StandIn, Typed, refusals
 
 COMMANDS = cli.list_commands(click.Context(cli))
@@ -124,13 +124,14 @@ def test_out_of_reach_leads_to_the_workspace_of_the_arm_in_question(
                 raise NoDaemon("nobody answers")
 
         def call(self, method: str, **_: Any) -> dict[str, Any]:
-            return {"arm_id": daemons_arm}
+            return {"arm_id": daemons_arm, "calibration_hash": hashes.get(str(daemons_arm))}
 
     configured = tmp_path / "xdg_config_home" / "armctl"
     (configured / "calibration").mkdir(parents=True)
     (configured / "armctl.yaml").write_text("arm: transfer-6dof\n")
     text = find_arm_file("lanzhou-4dof").read_text()
-    (configured / "calibration" / "mine.yaml").write_text(re.sub("arm_id: .*", "arm_id: bench-7", text))
+    (mine := configured / "calibration" / "mine.yaml").write_text(re.sub("arm_id: .*", "arm_id: bench-7", text))
+    hashes = {arm.arm_id: arm.calibration_hash for arm in map(load_arm, ("ax12-line", str(mine)))}
     monkeypatch.setattr("armctl.client.Client", Running)
     socket = None if daemons_arm is None else "the-socket"
     for error in (RequestRefused("UNREACHABLE", "0.6 m away"), UnreachableTarget("0.6 m away", 0.2)):

@@ -33,8 +33,7 @@ PAGES = ("/", "/app.js", "/scene.js", "/three.js", "/style.css", "/icon.svg")
 
 def served(folder: Path, arm: str = "ax12-line") -> Guard:
     """The application over what is kept in a folder."""
-    config = Config(data_dir=str(folder))
-    return create_app(load_arm(arm), config, socket=folder / "nobody.sock", token=TOKEN, port=8080)[1]
+    return create_app(Config(arm=arm, data_dir=str(folder)), socket=folder / "nobody.sock", token=TOKEN, port=8080)[1]
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from starlette.types import Message
 
 from armctl.config import Config
 from armctl.errors import NoDaemon, RequestRefused
-from armctl.files import load_arm, stop_path
+from armctl.files import stop_path
 from armctl.host.jsonrpc import error_line, notification_line, result_line
 from armctl.web import connections as module
 from armctl.web import server as server_module
@@ -131,8 +131,7 @@ async def test_a_page_that_leaves_while_it_leads_the_tool_stops_the_arm(
     headers = {"host": "127.0.0.1:8080", "content-type": "application/json", TOKEN_HEADER: TOKEN}
     scope = {"type": "http", "method": "POST", "path": "/api/jog", "query_string": b"",
              "headers": [(name.encode(), value.encode()) for name, value in headers.items()]}  # fmt: skip
-    arm, config = load_arm("ax12-line"), Config(data_dir=str(tmp_path))
-    app, guard = create_app(arm, config, socket=stub.path, token=TOKEN, port=8080)
+    app, guard = create_app(Config(data_dir=str(tmp_path)), socket=stub.path, token=TOKEN, port=8080)
     server = await asyncio.start_unix_server(stub.serve, stub.path)
     async with asyncio.timeout(10.0), server, app.router.lifespan_context(app):
         await stub.until(lambda: stub.asked == [(0, "subscribe")])

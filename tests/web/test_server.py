@@ -15,7 +15,6 @@ import uvicorn
 
 from armctl.cli import main
 from armctl.config import Config
-from armctl.files import load_arm
 from armctl.web import server
 from armctl.web.guard import TOKEN_HEADER
 from tests.terminal import free_port
@@ -78,7 +77,7 @@ def test_the_token_is_for_owner_and_group_while_served(tmp_path: Path, monkeypat
             lookers.submit(look, address)
 
         monkeypatch.setenv("RUNTIME_DIRECTORY", str(file.parent))
-        server.serve(load_arm("ax12-line"), config, socket=nobody, port=port, ready=ready)
+        server.serve(config, socket=nobody, port=port, ready=ready)
     assert str(seen["address"]).startswith(f"http://127.0.0.1:{port}/#token=")
     assert seen["mode"] == 0o640  # whatever the umask
     assert file.read_text().strip() == seen["address"]  # for the next start

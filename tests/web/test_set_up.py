@@ -9,11 +9,8 @@ from typing import Any
 import pytest
 import yaml
 
-from armctl.config import Config
-from armctl.files import load_arm
 from armctl.host.methods import Nothing
 from armctl.web.connections import Connections
-from armctl.web.files import Files
 from armctl.web.set_up import Answer, SetUp
 from tests.host.doubles import refused
 
@@ -23,8 +20,7 @@ def set_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SetUp:
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "own"))
     config = tmp_path / "armctl.yaml"
     config.write_text(yaml.safe_dump({"port": str(tmp_path / "none"), "data_dir": str(tmp_path)}))
-    daemon = Connections(tmp_path / "nobody.sock")
-    return SetUp(str(config), daemon, Files(daemon, load_arm("ax12-line"), Config(data_dir=str(tmp_path))))
+    return SetUp(str(config), Connections(tmp_path / "nobody.sock"))
 
 
 async def until(set_up: SetUp, there: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
