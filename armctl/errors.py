@@ -42,6 +42,10 @@ class NoDaemon(ArmctlError):
     exit_status = 3
 
 
+class NoWayIn(NoDaemon):
+    """The daemon's socket cannot be opened: it is somebody else's, or there can be none."""
+
+
 class BusError(ArmctlError):
     """The serial port or the bus behind it failed; `code` is the fault code of the matrix."""
 

@@ -9,13 +9,14 @@ import os
 import socket as sockets
 import time
 from collections.abc import Iterable
+from contextlib import suppress
 from operator import methodcaller
 from pathlib import Path
 from typing import Any, cast
 from weakref import WeakSet
 
 from armctl import errors
-from armctl.errors import ArmctlError, NoDaemon, RequestRefused, rebuilt
+from armctl.errors import ArmctlError, NoDaemon, NoWayIn, RequestRefused, rebuilt
 from armctl.files import socket_path
 
 MAX_WAITING_NOTIFICATIONS = 64
@@ -62,10 +63,13 @@ class Protocol:
         return data + b"\n"
 
     def no_daemon(self, why: str | OSError) -> NoDaemon:
-        """The error for a daemon that is not there, or no longer."""
-        if isinstance(why, OSError):
-            why = why.strerror or str(why)
-        return NoDaemon(f"no daemon answers on {self.socket_file}: {why}; start it with `armctl daemon --port PORT`")
+        """The error for a daemon that is not there, or no longer, or whose socket cannot be opened."""
+        told = str(getattr(why, "strerror", None) or why)
+        if isinstance(why, PermissionError):
+            return NoWayIn(f"a daemon may run, but you may not open its socket: {_entrance(self.socket_file)}")
+        if told.endswith("path too long"):
+            return NoWayIn(f"no socket can be at {self.socket_file}: {told}; name a shorter one with --socket")
+        return NoDaemon(f"no daemon answers on {self.socket_file}: {told}; start it with `armctl daemon --port PORT`")
 
     @staticmethod
     def notification(message: Message) -> Notification | None:
@@ -82,6 +86,18 @@ class Protocol:
         if "error" in answer:
             raise error_of(answer["error"])
         return cast(Message, answer["result"])
+
+
+def _entrance(path: Path) -> str:
+    """Whose a socket is, or the first folder above it that can be seen; and how one is let in."""
+    place = next(filter(os.path.exists, (path, *path.parents)))
+    about = place.stat()
+    user, group = str(about.st_uid), str(about.st_gid)
+    with suppress(KeyError):  # who has no name
+        user, group = place.owner(), place.group()
+    lets_group_in = about.st_gid and about.st_mode & (0o010 if place.is_dir() else 0o020)
+    joining = f"join the group (`sudo usermod -aG {group} $USER`, then log in anew), or " if lets_group_in else ""
+    return f"{place} is of user {user} and group {group}; {joining}ask {user}"
 
 
 def heartbeats(seconds: float, **velocity: object) -> Requests:

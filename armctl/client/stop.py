@@ -57,9 +57,8 @@ def typed(arguments: Sequence[str]) -> int | None:
                 chosen = path
             case _:
                 return None
-    where = socket_path(chosen)
     try:
-        state = stop(where)
+        state = stop(socket_path(chosen))
     except OSError:  # a TimeoutError is one
         return None
     if state is None:
@@ -67,7 +66,7 @@ def typed(arguments: Sequence[str]) -> int | None:
     if state == "faulted":
         from armctl.client import Client
 
-        with suppress(ArmctlError), Client(where, timeout_s=HOST_S) as host:
+        with suppress(ArmctlError), Client(socket_path(chosen), timeout_s=HOST_S) as host:
             if "unreached" in host.call("stop"):
                 return None  # the command line says why
     sys.stdout.write(f'{{"state": "{state}"}}\n' if json else f"{state}\n")

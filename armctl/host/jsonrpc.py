@@ -15,7 +15,7 @@ import re
 from typing import Any, NamedTuple, NoReturn
 
 from armctl.config import NAME_PATTERN
-from armctl.errors import ArmctlError, BusError, ConfigError, LogError, NoDaemon, RequestRefused
+from armctl.errors import ArmctlError, BusError, ConfigError, LogError, NoDaemon, NoWayIn, RequestRefused
 from armctl.strict_yaml import keys_once
 
 MAX_LINE_BYTES = 65536
@@ -162,7 +162,7 @@ def notification_line(method: str, params: dict[str, Any]) -> bytes:
     return encode({"jsonrpc": "2.0", "method": method, "params": params})
 
 
-_CODES = {ConfigError: "CONFIG", LogError: "LOG", NoDaemon: "NO_DAEMON"}
+_CODES = {ConfigError: "CONFIG", LogError: "LOG", NoDaemon: "NO_DAEMON", NoWayIn: "NO_DAEMON"}
 
 
 def error_data(error: ArmctlError) -> dict[str, Any]:

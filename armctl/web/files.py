@@ -36,8 +36,6 @@ from armctl.web.connections import Connections
 
 # By method and path the function of `Files` that answers.
 ROUTES: dict[str, str] = tomllib.loads(FilePath(__file__).with_name("files.toml").read_text("utf-8"))
-# What answers by what the arm is like.
-BY_ARM = ("arm_", "bend", "log")
 # Of what is found in the logs, so many are shown, the newest.
 MOST_FOUND = 200
 NamePath = Annotated[str, Path(pattern=NAME_PATTERN)]
@@ -109,7 +107,7 @@ class Files:
         router = APIRouter()
         for route, handler in ROUTES.items():
             method, path = route.split()
-            first = [Depends(self.follow)] if handler in BY_ARM else []
+            first = [Depends(self.follow)] if handler in ("arm_", "bend", "log") else []  # shows the arm
             router.add_api_route(path, getattr(self, handler), methods=[method], dependencies=first)
         return router
 

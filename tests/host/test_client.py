@@ -1,6 +1,8 @@
 """The client: errors come back as they were raised, lines are put together again, late answers are skipped."""
 
+import grp
 import json
+import os
 import socket
 import threading
 from collections.abc import Iterator
@@ -11,8 +13,11 @@ from typing import Any
 import pytest
 
 from armctl import errors
+from armctl.cli.output import next_command
 from armctl.client import Client
+from armctl.client.protocol import Protocol
 from armctl.host import jsonrpc
+from tests.words import missing
 
 PATIENCE_S = 20.0
 
@@ -178,3 +183,29 @@ def test_the_socket_is_found_as_the_configuration_says(tmp_path: Path, monkeypat
         Client()
     assert caught.value.exit_status == 3
     assert "armctl daemon --port" in str(caught.value)
+
+
+def test_of_a_socket_that_one_may_not_open_it_is_said_whose_it_is_and_who_lets_one_in(tmp_path: Path) -> None:
+    folder, path = tmp_path / "run", tmp_path / "run" / "s"
+    folder.mkdir()
+    path.touch()
+    if os.getuid() == 0:  # nobody is told to join root's group
+        os.chown(path, -1, grp.getgrnam("daemon").gr_gid)
+    user, group = path.owner(), path.group()
+    joining = f"join the group (`sudo usermod -aG {group} $USER`, then log in anew), or ask {user}"
+    for mode, way in ((0o660, joining), (0o600, f"; ask {user}")):
+        path.chmod(mode)
+        error = Protocol(path).no_daemon(PermissionError(13, "Permission denied"))
+        told = f"{path} is of user {user} and group {group}"
+        assert not missing(str(error), "a daemon may run, but you may not open its socket", told, way)
+        assert "armctl daemon" not in str(error) + next_command(error)
+        assert (error.exit_status, jsonrpc.error_data(error)["code"]) == (3, "NO_DAEMON")
+    path.unlink()  # as for somebody who may not look into the folder
+    error = Protocol(path).no_daemon(PermissionError(13, "Permission denied"))
+    assert f"{folder} is of user {user}" in str(error)
+
+
+def test_of_a_path_that_is_too_long_for_a_socket_that_is_said(tmp_path: Path) -> None:
+    with pytest.raises(errors.NoDaemon, match="path too long; name a shorter one with --socket") as caught:
+        Client(tmp_path / ("x" * 120))
+    assert "armctl daemon" not in str(caught.value) + next_command(caught.value)
