@@ -183,7 +183,7 @@ def find(folder: Path, name: str) -> Path:
         if candidate.is_file() and not candidate.is_symlink():
             return candidate
     files = sorted(take_files(folder), key=lambda found: found.stat().st_mtime, reverse=True)
-    known = ", ".join(map(take_name, files[:MOST_NAMED])) or "none"
+    known = ", ".join(sorted(map(take_name, files[:MOST_NAMED]))) or "none"
     known += f", and {len(files) - MOST_NAMED} older ones" * (len(files) > MOST_NAMED)
     raise LogError(f"recording {name}: none of that name in {folder}; known: {known}")
 
