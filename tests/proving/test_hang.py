@@ -2,7 +2,11 @@
 
 import os
 import signal
+import subprocess
+import sys
 import time
+from contextlib import suppress
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -62,3 +66,29 @@ def test_a_busy_machine_is_no_hung_daemon_and_one_that_hangs_is_noticed(monkeypa
     monkeypatch.setattr(busy_machine, "_end", hung_before_its_end)
     [violation] = busy_machine.watch(seed=1, hours=1.0 / 3600.0)["violations"]
     assert "tell of HOST_SILENT" in violation
+
+
+@pytest.mark.pty
+def test_a_proof_that_is_ended_leaves_no_arm_behind(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "proving", "prove", "hang", "--runs", "1"]
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "TMPDIR": str(tmp_path)}
+    proof = subprocess.Popen(command, env=env)
+    try:
+        deadline_s = time.monotonic() + 60.0
+        while not any(tmp_path.glob("armctl-*/daemon.sock")) and time.monotonic() < deadline_s:
+            time.sleep(0.05)
+        assert processes_of(tmp_path), "no arm was started"
+        proof.terminate()
+        assert proof.wait(60.0) == 128 + signal.SIGTERM
+    finally:
+        proof.kill()
+    assert processes_of(tmp_path) == []
+
+
+def processes_of(folder: Path) -> list[str]:
+    """Command lines of processes that work in a folder."""
+    found = []
+    for one in Path("/proc").glob("[0-9]*/cmdline"):
+        with suppress(OSError):
+            found.append(one.read_bytes().decode(errors="replace"))
+    return [line for line in found if str(folder) in line]

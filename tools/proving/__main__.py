@@ -2,6 +2,7 @@
 
 import importlib
 import json
+import signal
 import sys
 from collections.abc import Callable
 from typing import Any
@@ -164,7 +165,8 @@ def bench(name: str, seed: int, installed: bool, as_json: bool) -> None:
 
 
 def run() -> None:
-    """The command; what cannot be done is told in one sentence."""
+    """The command; what cannot be done is told in one sentence, and SIGTERM ends what was started as well."""
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     try:
         main()
     except ArmctlError as error:
