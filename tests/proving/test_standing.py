@@ -393,13 +393,16 @@ def test_a_horn_that_slips_as_torque_goes_off_at_rest_could_not_be_seen(before_s
     assert bench.red == broken
 
 
-@pytest.mark.parametrize(("servo_id", "before_s", "broken"), [(1, 0.3, set()), (1, 0.6, {"3"}), (2, 0.3, {"3"})])
+@pytest.mark.parametrize(
+    ("servo_id", "before_s", "off", "broken"),
+    [(1, 0.3, 5, set()), (1, 0.6, 5, {"3"}), (2, 0.3, 5, {"3"}), (1, 0.3, 40, {"3"})],
+)
 def test_where_a_horn_has_just_slipped_torque_may_come_on_at_the_place_before(
-    servo_id: int, before_s: float, broken: set[str]
+    servo_id: int, before_s: float, off: int, broken: set[str]
 ) -> None:
     bench = Bench(torque=False)
     bench.plan("pair_mismatch", 9.0, servo_id)
-    bench.at(MIDDLE + 5.0)
+    bench.at(MIDDLE + off)
     bench.ticks(round(before_s / PERIOD_S), Mode.OFF)
     bench.ask("torque_on")
     bench.write(0, ax12a.TORQUE_ENABLE, 1, torque=True)

@@ -23,9 +23,6 @@ REST_ROOM_DEG = 4.0
 # Of so many arms one is as it is shipped.
 AS_SHIPPED = 6
 HIGHEST_ID = 253
-# Ticks by which servos of a pair stay off the ends of their sensors, beyond which a servo runs at full: a table may be
-# 15 off, a horn slip by 25. No shipped arm has less.
-PAIR_SPARE = 40.0
 
 
 def arm_text(name: str) -> str:
@@ -50,9 +47,7 @@ def varied(text: str, rng: np.random.Generator) -> str:
         direction = int(rng.choice((-1, 1)))
         # Every position of the joint is one of the servo's.
         ends = sorted((-direction * low / TICK_DEG, -direction * high / TICK_DEG))
-        least, most = math.ceil(max(-1023.0, ends[1])), math.floor(min(2046.0, TICK_MAX + ends[0]))
-        spare = min(PAIR_SPARE, (most - least) / 2.0) if "pair" in joint else 0.0
-        zero = rng.uniform(least + spare, most - spare)
+        zero = rng.uniform(math.ceil(max(-1023.0, ends[1])), math.floor(min(2046.0, TICK_MAX + ends[0])))
         joint |= {"servo_id": servo_id, "direction": direction, "zero_tick": round(float(zero), 2),
                   "limits_deg": [low, high]}  # fmt: skip
         if rng.random() < 0.2:

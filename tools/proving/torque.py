@@ -19,8 +19,8 @@ REST_TICKS = 3.0 / TICK_DEG + 2.0
 LED_TICKS = 12.0 / TICK_DEG + NOISE_TICKS
 # After so long a write that nobody acknowledged is sent once more.
 AGAIN_S, AGAIN_LATE_S = 0.006, 0.04
-# A shaft is known by its readings of so long.
-SETTLES_S = 0.5
+# A shaft is known by its readings of so long; by how much a horn slips at most.
+SETTLES_S, SLIP_TICKS = 0.5, 25.0
 # A torque-on takes so long at most, without the ticks in which a servo is not heard.
 ASKED_S = 2.0
 # How long a `clear` may wait until every servo is identified.
@@ -92,12 +92,13 @@ class TorqueJudge(StandingJudge):
             text = f"torque came on although {self._names[unfit]} is in wheel mode"
             self._violate("rows", now_s, i, text)
         self._enabled[i] = (now_s, now.shaft_tick)
-        # Whose position it is nobody can tell, or where it is: its readings before say something else.
-        unsure = self._duties.lately(now_s, {"same_id"}, 0.2) or self._slipped(now_s, SETTLES_S, i)
-        own = not unsure and (now.goal == self._sent[i] or not self._duties.other_writer(now_s, i))
+        twin = self._duties.lately(now_s, {"same_id"}, 0.2)  # whose position it is, nobody can tell
+        own = not twin and (now.goal == self._sent[i] or not self._duties.other_writer(now_s, i))
         self._sent[i] = now.goal
-        if own and abs(now.goal - now.sensed_tick) > HERE_TICKS:
-            text = f"torque came on at {now.sensed_tick} with goal {now.goal} (bound {HERE_TICKS:.1f} ticks)"
+        # Its readings before a horn has just slipped are that far off.
+        bound = HERE_TICKS + SLIP_TICKS * self._slipped(now_s, SETTLES_S, i)
+        if own and abs(now.goal - now.sensed_tick) > bound:
+            text = f"torque came on at {now.sensed_tick} with goal {now.goal} (bound {bound:.1f} ticks)"
             self._violate("3", now_s, i, text)
         if now.limit > SOFT_LIMIT or now.speed == 0:
             text = f"torque came on with limit {now.limit} (bound {SOFT_LIMIT:.0f}), speed {now.speed} (not 0)"
@@ -116,8 +117,8 @@ class TorqueJudge(StandingJudge):
         if now.limit > FIRM_LIMIT and since_s < FIRM_S:
             self._violate("3", now_s, i, f"limit {now.limit} {since_s:.2f} s after torque came on (bound {FIRM_S})")
 
-    def _slipped(self, now_s: float, within_s: float, i: int | None = None) -> bool:
-        """Whether a horn at a servo's joint (None: any) has slipped, or come back, since so long ago."""
+    def _slipped(self, now_s: float, within_s: float, i: int) -> bool:
+        """Whether a horn at a servo's joint has slipped, or come back, since so long ago."""
         return len({self._duties.lately(at_s, {"pair_mismatch"}, 0.0, i) for at_s in (now_s - within_s, now_s)}) > 1
 
     def _settling(self) -> bool:
@@ -190,8 +191,9 @@ class TorqueJudge(StandingJudge):
             self._going.add(i)
             return
         settling = self._mode == PARKING or self._settling()
-        seen = self._told if self._slipped(now_s, self._period_s) else [servo.sensed_tick for servo in before]
-        away = max(abs(tick - rest) for tick, rest in zip(seen, self._rest, strict=True))
+        slipped = [self._slipped(now_s, self._period_s, k) for k in range(len(before))]
+        rows = zip(before, self._told, slipped, self._rest, strict=True)
+        away = max(abs((told if hidden else servo.sensed_tick) - rest) for servo, told, hidden, rest in rows)
         if settling and away <= REST_TICKS:
             self._going.add(i)
         elif before[i].torque:
