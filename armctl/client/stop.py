@@ -4,10 +4,8 @@ import socket
 import sys
 import time
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 
-from armctl.errors import ArmctlError
 from armctl.files import socket_path, stop_path
 
 # Longest wait for an answer: a control process that hangs is replaced within a second.
@@ -64,7 +62,10 @@ def typed(arguments: Sequence[str]) -> int | None:
     if state is None:
         return None
     if state == "faulted":
+        from contextlib import suppress
+
         from armctl.client import Client
+        from armctl.errors import ArmctlError
 
         with suppress(ArmctlError), Client(socket_path(chosen), timeout_s=HOST_S) as host:
             if "unreached" in host.call("stop"):
