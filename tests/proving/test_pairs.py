@@ -1,17 +1,21 @@
 """The judge on arms with pairs: it reads them as the package does, and misses neither a mismatch nor a fight."""
 
 from collections import Counter
+from dataclasses import replace
 from unittest.mock import patch
 
 import numpy as np
 import pytest
 
 from armctl.control import pairs as told_by
+from armctl.dynamixel import ax12a
+from armctl.messages import Mode
 from armctl.sim.faults import Fault
 from proving import reading
 from proving.arms import arm_of, arm_text, drawn, varied
 from proving.episode import Episode, stage_of
-from proving.evidence import Servo, Strain
+from proving.evidence import Sent, Servo, Strain
+from proving.invariants import Judge
 from proving.pairs import PairWatch
 from proving.soak import drawn_by
 from proving.story import Story, Strike, Wish
@@ -104,3 +108,23 @@ def test_a_program_that_lets_a_pair_fight_is_found() -> None:
     assert slipped(13.0, slope=16) == []
     with patch.object(told_by, "AGAINST_RATIO", 2.0):
         assert slipped(13.0, slope=16) == ["pair"]
+
+
+@pytest.mark.parametrize(
+    ("shaft", "partner", "code", "broken"),
+    [(-20.0, True, "BLOCKED", 0), (-20.0, False, "BLOCKED", 1), (-20.0, True, "", 1), (5.0, True, "BLOCKED", 1)],
+)
+def test_of_a_pair_only_the_servo_that_sees_nothing_is_let_go_alone(
+    shaft: float, partner: bool, code: str, broken: int
+) -> None:
+    """Past the end of its sensor, while the other one holds, and a fault is told."""
+    judged = reading.read(arm_text("phantomx-reactor"))
+    first, second = judged.pairs[0]
+    judge, n = Judge(judged, 0.1, [(one.low, one.high) for one in judged.servos]), len(judged.servos)
+    judge.back()
+    judge.reported(0.0, Mode.FAULTED, code, codes=frozenset(filter(None, (code,))))
+    before = [Servo(k != first or partner, 512, 100, 1023, 512.0, 512) for k in range(n)]
+    before[second] = replace(before[second], shaft_tick=shaft, sensed_tick=700)
+    after = [replace(servo, torque=servo.torque and k != second) for k, servo in enumerate(before)]
+    judge.wrote(1.0, [Sent(second, ax12a.TORQUE_ENABLE.address, b"\0")], before, after)
+    assert len([found for found in judge.violations if found.invariant == "5"]) == broken

@@ -22,7 +22,7 @@ Rules:
 | 4 | torque 0 -> 1 by a write | `torque on` within 2 s, and no fault reported since |
 | 5 | torque 1 -> 0 by a write | `release` or `teach` in this tick, again until heard limp; within 3 deg (2 ticks |
 | | | noise) of rest on the way there, at 20 deg/s; or undoing a torque-on of the last 2 s, |
-| | | without ticks in which a servo is not heard |
+| | | without ticks in which a servo is not heard; or, of a pair, the one that sees nothing |
 | 6 | goals after what stops motion | 200 ms after the matrix's bound; shafts still 500 ms after it |
 | 7 | goals while a fault is reported | none after 250 ms, but to rest for heat, voltage and load |
 | | `clear` | refused while the cause lasts |

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 from proving.evidence import Servo
 from proving.excuses import GARBLES
-from proving.reading import ENERGISING, FULL_LIMIT, PARKING, RESTING, TICK_DEG, Arm
+from proving.reading import ENERGISING, FULL_LIMIT, PARKING, RESTING, TICK_DEG, TICK_MAX, Arm
 from proving.shafts import CORRECTION_DEG, NOISE_TICKS
 from proving.standing import StandingJudge
 
@@ -190,6 +190,9 @@ class TorqueJudge(StandingJudge):
         if again or self._asked_now & {"release", "teach"} or self._energising(now_s):
             self._going.add(i)
             return
+        if self._fights_blindly(i, before):
+            self._going.add(i)
+            return
         settling = self._mode == PARKING or self._settling()
         slipped = [self._slipped(now_s, self._period_s, k) for k in range(len(before))]
         rows = zip(before, self._told, slipped, self._rest, strict=True)
@@ -198,6 +201,12 @@ class TorqueJudge(StandingJudge):
             self._going.add(i)
         elif before[i].torque:
             self._violate("5", now_s, i, f"torque cut, {away * TICK_DEG:.1f} deg from rest, and nobody asked")
+
+    def _fights_blindly(self, i: int, before: Sequence[Servo]) -> bool:
+        """Whether a servo is past the end of its sensor, a fault is told, and another one that sees holds its joint."""
+        sees = [0 <= servo.shaft_tick <= TICK_MAX for servo in before]
+        partners = [k for pair in self._arm.pairs if i in pair for k in pair if k != i]
+        return bool(self._codes) and not sees[i] and any(before[k].torque and sees[k] for k in partners)
 
     def polled(self, now_s: float, unheard: Sequence[tuple[int, int]], heard: int, asked: int) -> None:
         """Which servos were asked in vain in a tick, each how often, how many answered and how often all were asked.
