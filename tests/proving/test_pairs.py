@@ -111,19 +111,25 @@ def test_a_program_that_lets_a_pair_fight_is_found() -> None:
 
 
 @pytest.mark.parametrize(
-    ("shaft", "partner", "code", "broken"),
-    [(-20.0, True, "BLOCKED", 0), (-20.0, False, "BLOCKED", 1), (-20.0, True, "", 1), (5.0, True, "BLOCKED", 1)],
+    ("shaft", "torque", "off", "code", "broken"),
+    [
+        (-20.0, True, 5.0, "BLOCKED", 0),
+        (-20.0, False, 5.0, "BLOCKED", 1),
+        (-20.0, True, 50.0, "BLOCKED", 1),
+        (-20.0, True, 5.0, "", 1),
+        (5.0, True, 5.0, "BLOCKED", 1),
+    ],
 )
 def test_of_a_pair_only_the_servo_that_sees_nothing_is_let_go_alone(
-    shaft: float, partner: bool, code: str, broken: int
+    shaft: float, torque: bool, off: float, code: str, broken: int
 ) -> None:
-    """Past the end of its sensor, while the other one holds, and a fault is told."""
+    """Past the end of its sensor, while the other one holds and sees, and a fault is told."""
     judged = reading.read(arm_text("phantomx-reactor"))
     first, second = judged.pairs[0]
     judge, n = Judge(judged, 0.1, [(one.low, one.high) for one in judged.servos]), len(judged.servos)
     judge.back()
     judge.reported(0.0, Mode.FAULTED, code, codes=frozenset(filter(None, (code,))))
-    before = [Servo(k != first or partner, 512, 100, 1023, 512.0, 512) for k in range(n)]
+    before = [Servo(k != first or torque, 512, 100, 1023, 512.0 + off * (k == first), 512) for k in range(n)]
     before[second] = replace(before[second], shaft_tick=shaft, sensed_tick=700)
     after = [replace(servo, torque=servo.torque and k != second) for k, servo in enumerate(before)]
     judge.wrote(1.0, [Sent(second, ax12a.TORQUE_ENABLE.address, b"\0")], before, after)

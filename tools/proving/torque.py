@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 from proving.evidence import Servo
 from proving.excuses import GARBLES
-from proving.reading import ENERGISING, FULL_LIMIT, PARKING, RESTING, TICK_DEG, TICK_MAX, Arm
+from proving.reading import ENERGISING, FULL_LIMIT, PAIR_ROOM, PARKING, RESTING, TICK_DEG, TICK_MAX, Arm
 from proving.shafts import CORRECTION_DEG, NOISE_TICKS
 from proving.standing import StandingJudge
 
@@ -204,9 +204,9 @@ class TorqueJudge(StandingJudge):
 
     def _fights_blindly(self, i: int, before: Sequence[Servo]) -> bool:
         """Whether a servo is past the end of its sensor, a fault is told, and another one that sees holds its joint."""
-        sees = [0 <= servo.shaft_tick <= TICK_MAX for servo in before]
-        partners = [k for pair in self._arm.pairs if i in pair for k in pair if k != i]
-        return bool(self._codes) and not sees[i] and any(before[k].torque and sees[k] for k in partners)
+        partners = [before[k] for pair in self._arm.pairs if i in pair for k in pair if k != i]
+        held = any(servo.torque and abs(servo.sensed_tick - servo.shaft_tick) <= PAIR_ROOM for servo in partners)
+        return bool(self._codes) and held and not 0 <= before[i].shaft_tick <= TICK_MAX
 
     def polled(self, now_s: float, unheard: Sequence[tuple[int, int]], heard: int, asked: int) -> None:
         """Which servos were asked in vain in a tick, each how often, how many answered and how often all were asked.
