@@ -4,8 +4,8 @@ import math
 from collections.abc import Sequence
 
 from armctl.control.faults import KINDS, Cause
-from armctl.control.machine import Phase, Trigger
-from armctl.control.pairs import detect_mismatch
+from armctl.control.machine import LATCHED, Phase, Trigger
+from armctl.control.pairs import detect_mismatch, let_go_blind
 from armctl.control.relief import PUSH_RATIO, keep_here, pushes, relieve
 from armctl.control.stillness import STILL_TICKS
 from armctl.control.tick import Tick
@@ -164,6 +164,8 @@ def _detect_power_faults(s: Tick) -> None:
             found = f"{math.degrees(errors_rad[i]):.1f} deg away from its goal for 0.3 s (bound 8)"
             if s.latch_servo("BLOCKED", i, found):
                 relieve(s, s.wire[i].of)
+            elif s.state.phase in LATCHED:
+                let_go_blind(s, i)
 
 
 def _overruled(s: Tick, i: int, servo: Status) -> bool:

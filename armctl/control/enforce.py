@@ -82,6 +82,8 @@ def stay(s: Tick, index: int) -> None:
     s.state.limp = (*s.state.limp, *set(unheard).difference(s.state.limp))
     s.remember(tuple([s.here(i) if servo.of == of else s.state.goal[i] for i, servo in enumerate(s.wire)]))
     s.state.ramp = ()
+    errors = zip(s.state.error_since_ns, s.wire, strict=False)
+    s.state.error_since_ns = tuple([0 if servo.of == of else since_ns for since_ns, servo in errors])
     if (f := s.state.following) is not None:
         here_rad = s.wire[index].position_rad(here)
         s.state.following = replace(f, wanted_rad=(*f.wanted_rad[:of], here_rad, *f.wanted_rad[of + 1 :]))

@@ -19,8 +19,8 @@ from collections.abc import Iterator, Sequence
 from armctl.config import ArmConfig
 from armctl.control.enforce import holds, stay
 from armctl.control.relief import FRICTION_RATIO, stands
-from armctl.control.tick import Tick
-from armctl.dynamixel.ax12a import TICK_RAD
+from armctl.control.tick import LED_OFF_TICKS, Tick
+from armctl.dynamixel.ax12a import TICK_RAD, TORQUE_ENABLE
 from armctl.messages import NS_PER_S, JointState, ServoReading
 from armctl.pair import APART_TICKS
 
@@ -74,6 +74,16 @@ def detect_mismatch(s: Tick) -> None:
             if against > FRICTION_RATIO:
                 stay(s, first)
     s.state.pair_since_ns = tuple(found)
+
+
+def let_go_blind(s: Tick, index: int) -> None:
+    """Torque off for a servo far from its goal although it was relieved, if it is blind and its partner holds."""
+    for first, second in s.arm.rigid_pairs:
+        other = second if index == first else first
+        if index in (first, second) and holds(s, other) and apart_ticks(s, first, second) > LED_OFF_TICKS:
+            s.write(s.wire[index].servo_id, TORQUE_ENABLE, 0)
+            alone = f"it goes limp, and servo {s.wire[other].servo_id} holds the joint alone"
+            s.latch_servo("PAIR_MISMATCH", index, f"works at full wherever it is told to be, as if blind: {alone}")
 
 
 def apart_ticks(s: Tick, first: int, second: int) -> float:

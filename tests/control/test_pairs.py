@@ -309,3 +309,24 @@ def test_another_goal_or_reading_of_any_servo_differs_in_a_replay(index: int, tm
     servos[index] = replace(servos[index], registers=bytes(block))
     read = replace(moving, inputs=replace(moving.inputs, sample=replace(sample, servos=tuple(servos))))
     assert check(write(tmp_path / "read.mcap", [read], keyframe=keyframe, context=LOGGED)).mismatches > 0
+
+
+@pytest.mark.parametrize("beyond_ticks", [11.0, 30.0, 60.0])
+def test_a_servo_that_a_slipped_horn_takes_past_the_end_of_its_sensor_is_let_go_alone(beyond_ticks: float) -> None:
+    """It reads anything there, and works at full against the other one whatever goal it has."""
+    arm = paired_arm({"zero_tick": 560.0})
+    rig = Rig(arm=arm, spec=ALIKE).holding().at((0.0, 140.0, -110.0, -10.0, 0.0, 0.0))
+    held_deg, second = rig.joint_deg(1), rig.simulated.servos[SHOULDER[1]]
+    rig.fault("pair_mismatch", 12, value=-round(second.position_tick) - beyond_ticks)
+    rig.ticks(16)
+    assert {"BLOCKED", "PAIR_MISMATCH"} <= {fault.code for fault in rig.loop.state.faults}
+    text = next(fault.text for fault in rig.loop.state.faults if fault.code == "PAIR_MISMATCH")
+    assert re.match(r"servo 12 \(shoulder\): works at full wherever it .* servo 2 holds the joint alone", text)
+    assert set(rig.stiff()) == set(arm.servo_ids) - {12}
+    assert [fault.follows for fault in rig.loop.state.faults if fault.code == "LOST_TORQUE"] == ["PAIR_MISMATCH"]
+    rig.ticks(40, Clear(5))
+    assert rig.replies()[5].code == "NOT_CLEARED"
+    assert set(rig.stiff()) == set(arm.servo_ids) - {12}
+    assert rig.joint_deg(1) == pytest.approx(held_deg, abs=15.0)
+    rig.ticks(10, Release(6))
+    assert rig.stiff() == []
