@@ -36,6 +36,8 @@ REST_AHEAD_S = 3.0
 BEHIND_TICKS, LAZY_TICKS = 12.0, 2
 # A joint that is farther behind than that and two ticks of its way was not so by its ramps.
 AT_ONCE_TICKS = 16.0
+# What a joint goes in a tick, and is pushed for, that would be far behind by now if its ramps did not go on.
+LEAST_TICKS = 1.0
 # So long every servo has to have been heard, to have shown its goal and to have been near its ramp.
 CLEAN_S = 0.5
 # What is at its torque limit pushes no more for being farther off.
@@ -247,7 +249,8 @@ def look_at_ramps(s: Tick) -> None:
 
     Such a ramp takes back with each goal what a loaded joint lags behind. So the joint falls ever farther behind goals
     that come tick by tick, and yet does not push as one does that is so far from its goal. What is that far off at once
-    was led off, or is read wrongly; and where a goal was lost, a ramp is behind for that.
+    was led off, or is read wrongly; and where a goal was lost, a ramp is behind for that. A joint that pushes on its
+    way and is behind by no more than that shows that ramps go on, and that another joint is led by somebody else.
     """
     state = s.state
     if s.arm.ramp_from_reference is not None or state.ramp_restarts:
@@ -259,16 +262,22 @@ def look_at_ramps(s: Tick) -> None:
         state.lazy_ticks = -s.ticks_in(CLEAN_S)
         return
     speeds = (0.0,) * len(s.joints) if state.following is None else state.following.velocity_rad_s
-    lazy, at_once = False, False
-    for wire, servo, goal, ramp in zip(s.wire, s.servos, state.goal, s.ramps(), strict=True):
+    begun = state.following is None or state.following.age_s < CLEAN_S
+    lazy, at_once, goes_on = False, False, False
+    for wire, servo, joint, goal, ramp in zip(s.wire, s.servos, s.each, state.goal, s.ramps(), strict=True):
         way = abs(speeds[wire.of]) * s.period_s / ax12a.TICK_RAD
         behind = 0.0 if servo is None or servo.goal != goal else abs(ramp - servo.position) - 0.5 * way
-        if servo is None or behind <= BEHIND_TICKS:
+        if servo is None or servo.goal != goal:
             continue
         pushes = ax12a.distance_rad(servo, abs(servo.load_ratio)) / ax12a.TICK_RAD
+        bears = joint.load_ratio * speeds[wire.of] > 0.0 and min(way, pushes) > LEAST_TICKS
+        goes_on |= bears and not begun and behind <= pushes + LEAST_TICKS
+        if behind <= BEHIND_TICKS:
+            continue
         full = abs(servo.load_ratio) >= LIMIT_SHARE * servo.torque_limit / ax12a.LOAD_MAX
         lazy |= behind - pushes > BEHIND_TICKS and not full
         at_once |= behind > AT_ONCE_TICKS + 2.0 * way
+    lazy &= not goes_on
     if state.lazy_ticks < 0 or (at_once and not state.lazy_ticks):
         state.lazy_ticks = -s.ticks_in(CLEAN_S) if lazy or at_once else state.lazy_ticks + 1
     else:

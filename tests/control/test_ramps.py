@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from armctl.config import ArmConfig
+from armctl.dynamixel import ax12a
+from armctl.dynamixel.packet import BROADCAST_ID, Instruction, Packet
 from armctl.messages import Clear, Mode, Run, TorqueOn
 from armctl.sim.servo import ServoVariants
 from armctl.sim.spec import RANDOM_SPEC, RANGE_SPEC, ArmSpec, put_together
@@ -97,6 +99,24 @@ def test_a_joint_that_is_read_elsewhere_says_nothing_of_ramps() -> None:
         rig.fault("same_id", ARM.joints[joint].servo_id, duration_s=2.5)
         rig.ticks(40)
         assert "RAMP_RESTARTS" not in rig.codes()
+
+
+def written_unseen(rig: Rig, goal: int, packet: bytes) -> bool:
+    """Another program writes a goal of the first servo after each reading of it, and before our goal."""
+    if packet[4] == Instruction.READ and packet[2] == ARM.servo_ids[-1]:
+        data = bytes((ax12a.GOAL.address, 2, ARM.servo_ids[0])) + goal.to_bytes(2, "little")
+        rig.simulated.servos[0].handle(Packet(BROADCAST_ID, Instruction.SYNC_WRITE, data))
+    return False
+
+
+@pytest.mark.parametrize("seed", [2, 4])
+def test_a_writer_that_nobody_sees_is_not_taken_for_ramps(seed: int) -> None:
+    """The joint that it leads falls behind; the others, which push for more than their way of a tick, do not."""
+    rig = held(RANDOM_SPEC, seed)
+    list(moved(rig, corrected=True, fast=False))
+    rig.port.damages = partial(written_unseen, rig, round(rig.simulated.servos[0].position_tick) - 20)
+    rig.ticks(25, Run(9, rig.way((70, 75, -60, -45, -45, 0), 2.5)))
+    assert "RAMP_RESTARTS" not in rig.codes()
 
 
 def test_what_the_arms_file_says_of_its_ramps_is_not_found_out_again() -> None:
