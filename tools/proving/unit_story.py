@@ -17,6 +17,8 @@ POWER_CUTS, STARTS, UPGRADES = 20, 100, 20
 # Of so many rounds of readings one may be missing; by how much the daemon may grow meanwhile: a log of an hour keeps
 # where each of its 3,600 chunks is, 1 MB, until it ends.
 ROUNDS_OF_ONE, GROWN_MB = 10_000, 2.0
+# By then a log of an hour is rotated and compacted, after which the daemon keeps what that took.
+ROTATED_S = 3_900.0
 OPTIMISE = {"from_m": FROM_M, "to_m": TO_M, "via": [2], "duration_s": 5.0, "name": "proved"}
 
 
