@@ -175,7 +175,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "__s.finish_jog(__jog.stop_code or 'NO_HEARTBEAT')", "None")),
     _m("overload is never seen", CONTROL, ("LOAD_RATIO = 0.8", "LOAD_RATIO = 1.8")),
     _m("a blocked joint is not relieved", CONTROL, (
-        "if __s.latch_servo('BLOCKED', __i, __found):\n    relieve(__s, __s.wire[__i].of)",
+        "if __s.latch_servo('BLOCKED', __i, __found):\n    relieve(__s, __s.wire[__i].of)\nelif __latched:\n    ...",
         "if __s.latch_servo('BLOCKED', __i, __found):\n    __s.state.looks = ()")),
     _m("a stop on the way to rest is lost", CONTROL, (
         "if __s.state.phase in TO_REST:\n    __s.give_up_rest(__code, __why)\n__s.stop_motion(__code)",
