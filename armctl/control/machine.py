@@ -266,6 +266,8 @@ class Following:
     given_rad: tuple[float, ...]
     # For how long the motion has gone on.
     age_s: float = 0.0
+    # How far each joint that is to stand has been off of late; empty: none has stood yet.
+    off_rad: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,8 @@ A goal is where a joint is wanted a tick ahead, by a trajectory or a jog, and it
 2. A trim that grows slowly by what the encoders show, at the instants at which they were read; it begins anew with each
    motion. A joint that is far off is kept from where it is wanted, and not trimmed, nor is one whose goal has come to
    its limit. Nothing is trimmed in a motion that is being stopped, nor while a fault is latched.
+   Friction holds a joint that is to stand, on a side that nobody knows, and lets it go with a jump of a tick or two.
+   Within a tick of its place it is left alone; farther off its side is turned over, fast, and then trimmed as any.
 3. What the motion before has left of a correction, which is blended out within `BLEND_S`.
 4. Goals are whole ticks. Of those beside the exact ones of all joints together, they are those that keep the tool
    nearest to where exact ones would have it, and that turn no joint back.
@@ -43,8 +45,12 @@ SLOWED_S = 0.5
 BLEND_S = 0.8
 # A correction changes no faster than this.
 RATE_RAD_S = math.radians(4.0)
-# Of the error, per second.
-TRIM_RATE = 0.5
+# Of the error, per second: what the trim grows by, and the side of the friction of a joint that is to stand.
+TRIM_RATE, STAND_RATE = 0.5, 2.5
+# A joint that is led by less than a tick a second is to stand. How far it may be off, averaged over how long.
+STAND_RAD_S, STAND_RAD, STAND_S = TICK_RAD, 0.8 * TICK_RAD, 0.6
+# What is farther off is held by more than its friction.
+HELD_RAD = 3.5 * TICK_RAD
 # What a joint's own rounding counts beside what it moves the tool: as if it had this lever.
 ROUNDING_M = 0.03
 
@@ -187,18 +193,28 @@ def set_off(s: Tick, *, corrected: bool = True) -> None:
 
 def trim(s: Tick) -> None:
     """Let the trim grow by what the encoders show, while the arm moves."""
-    f = s.state.following
+    f, n = s.state.following, s.robot.chain.n
     if f is None or not f.corrected or not s.fresh or s.state.phase in LATCHED:
         return
-    gain = TRIM_RATE * s.period_s * min(1.0, f.age_s / BLEND_S)
-    trims = list(f.trim_rad)
-    for i in range(s.robot.chain.n):
+    gain, share = s.period_s * min(1.0, f.age_s / BLEND_S), min(1.0, s.period_s / STAND_S)
+    trims, sides, off, model = list(f.trim_rad), list(f.side), list(f.off_rad or (0.0,) * n), s.lag_model()
+    may_stand = f.age_s > BLEND_S and s.state.jog is None
+    for i in range(n):
         since_s = (s.inputs.sample.servos[i].stamp_ns - s.state.goal_ns) / NS_PER_S - s.period_s
         error = f.wanted_rad[i] + f.velocity_rad_s[i] * since_s - s.joints[i].position_rad
+        stands = may_stand and abs(f.velocity_rad_s[i]) < STAND_RAD_S
+        off[i] = off[i] + share * (error - off[i]) if stands else 0.0
         low, high = s.arm.joints[i].limits_rad
-        if abs(error) < FAR_RAD and low < f.wanted_rad[i] + f.given_rad[i] < high:
-            trims[i] = min(max(trims[i] + gain * error, -TRIM_RAD), TRIM_RAD)
-    s.state.following = replace(f, trim_rad=tuple(trims))
+        if abs(error) > FAR_RAD or not low < f.wanted_rad[i] + f.given_rad[i] < high:
+            continue
+        if stands and abs(off[i]) < STAND_RAD:
+            continue
+        friction_rad, way = abs(model.rows[i][n]), math.copysign(1.0, off[i])
+        if stands and abs(off[i]) < HELD_RAD and friction_rad and sides[i] != way:
+            sides[i] = min(max(sides[i] + STAND_RATE * gain * off[i] / friction_rad, -1.0), 1.0)
+        else:
+            trims[i] = min(max(trims[i] + TRIM_RATE * gain * error, -TRIM_RAD), TRIM_RAD)
+    s.state.following = replace(f, trim_rad=tuple(trims), side=tuple(sides), off_rad=tuple(off))
 
 
 def aimed(s: Tick, wanted_rad: Sequence[float], velocity_rad_s: Sequence[float]) -> tuple[list[int], Following]:
@@ -222,7 +238,8 @@ def aimed(s: Tick, wanted_rad: Sequence[float], velocity_rad_s: Sequence[float])
         low, high = max(-MOST_RAD, min(0.0, -AWAY_RAD - off)), min(MOST_RAD, max(0.0, AWAY_RAD - off))
         given[i] = min(max(min(max(correction, low), high), last - most), last + most)
     speeds, seen_rad = tuple(velocity_rad_s), tuple([joint.position_rad for joint in s.joints])
-    after = Following(f.corrected, wanted, speeds, seen_rad, side, f.trim_rad, f.before_rad, tuple(given), age_s)
+    kept = f.trim_rad, f.before_rad
+    after = Following(f.corrected, wanted, speeds, seen_rad, side, *kept, tuple(given), age_s, f.off_rad)
     return _whole_ticks(s, f, after), after
 
 

@@ -9,8 +9,8 @@ Rules.
    stood, its goal shows how much: it is ahead of the joint by what gravity takes, and by what friction holds. One that
    did not turn when it was to sticks, and pushed further would jump past its place: it is left where it stands, and the
    others make up for it.
-3. A joint that is far off is kept from where it is wanted. No trim is larger than `TRIM_RAD`, and no correction in all
-   than `MOST_RAD` (see motion.py).
+3. A joint that is far off, and pushes on, is kept from where it is wanted. No trim is larger than `TRIM_RAD`, and no
+   correction in all than `MOST_RAD` (see motion.py).
 """
 
 import math
@@ -125,7 +125,8 @@ def _changes(s: Tick, f: Following, error_rad: Sequence[float], stuck: Container
     for _ in range(MOST_TICKS):
         found = []
         for i, way in [(i, way) for i in range(n) for way in (1, -1)]:
-            if changes[i] * way < 0 or i in stuck or abs(error_rad[i]) > FAR_RAD:
+            kept = abs(error_rad[i]) > FAR_RAD and s.joints[i].load_ratio * error_rad[i] > 0.0
+            if changes[i] * way < 0 or i in stuck or kept:
                 continue
             left_m = [off - way * row[i] * TICK_RAD for off, row in zip(off_m, J, strict=True)]
             turns = not changes[i] and way * f.side[i] < 0.0

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from armctl.control.motion import BLEND_S, LEAD_TICKS, RATE_RAD_S
 from armctl.control.settle import MOST_RAD, REST_S, TRIM_RAD
 from armctl.dynamixel.ax12a import TICK_RAD
-from armctl.messages import Hold, LagModel, Mode, Pause, Resume, Run, UseModel
+from armctl.messages import Hold, JointTrajectory, LagModel, Mode, Pause, Resume, Run, UseModel
 from armctl.sim.spec import RANDOM_SPEC
 from armctl.trajectory.lag import nominal
 from tests.control.damaged_arm import ARM, STRETCHED_DEG, Rig
@@ -52,7 +52,7 @@ def test_the_tool_comes_to_its_place_and_stays_there_without_another_goal(seed: 
 
 def test_joints_that_have_stood_while_the_base_turned_are_not_thrown_past_their_places() -> None:
     thrown_mm: list[float] = []
-    for seed in range(20):
+    for seed in range(40):
         on = Rig(seed).holding()
         on.ticks(50 + REST_TICKS, Run(5, on.way(STOOD_DEG, seconds=4.0)))
         for number, base_deg in ((6, 30.0), (7, 0.0)):
@@ -65,15 +65,15 @@ def test_joints_that_have_stood_while_the_base_turned_are_not_thrown_past_their_
                     off_mm.append(away_mm(on))
             assert on.replies()[number].ok
             thrown_mm.append(max(off_mm) - off_mm[0])
-    # 5 of 40, and up to 7 mm, where a whole reversal is taken for what each of them has to overcome.
-    assert sum(mm > 3.0 for mm in thrown_mm) <= 1
+    # One in eight, and up to 7 mm, where a whole reversal is taken for what each of them has to overcome.
+    assert sum(mm > 3.0 for mm in thrown_mm) <= 3
     assert max(thrown_mm) < 4.0
 
 
 def test_a_joint_that_lifts_the_arm_at_speed_gets_the_whole_of_its_correction() -> None:
     """Before, the way of a tick counted as if the joint were behind: what lifts at 20 deg/s sagged by 4 to 7 deg."""
     sagged_deg = []
-    for seed in range(8):
+    for seed in range(24):
         on = rig(seed).at((0.0, 45.0, -25.0, -20.0, 0.0, 0.0))
         on.ticks(REST_TICKS)
         on.ticks(1, Run(5, on.way((0.0, 85.0, -65.0, -20.0, 0.0, 0.0), seconds=2.0)))
@@ -85,10 +85,9 @@ def test_a_joint_that_lifts_the_arm_at_speed_gets_the_whole_of_its_correction() 
             by_now_rad = following.wanted_rad[1] - following.velocity_rad_s[1] * on.period_s
             off_deg.append(math.degrees(by_now_rad - on.simulated.true_positions()[1]))
         sagged_deg.append(max(off_deg))
-    *_, median, _, _, heavy, heaviest = sorted(sagged_deg)
-    assert median < 2.0
-    assert heavy < 3.5
-    assert heaviest < 7.0, "it takes all that a correction may push with to lift this one"
+    assert np.median(sagged_deg) < 2.3
+    assert sum(deg > 5.0 for deg in sagged_deg) <= 6, "it takes all that a correction may push with to lift these"
+    assert max(sagged_deg) < 8.0
 
 
 def test_a_joint_at_its_limit_is_not_trimmed_by_what_no_goal_can_give_it() -> None:
@@ -314,3 +313,20 @@ def test_no_model_is_changed_while_the_arm_moves() -> None:
     arm.arm = ARM
     arm.run_ticks(3, Run(5, line(arm)))
     assert arm.ask(UseModel(6, MODEL)).code == "ILLEGAL_TRANSITION"
+
+
+def test_a_joint_that_is_to_stand_is_brought_to_its_place_and_left_there() -> None:
+    """The base has turned, and stands while the others go on. Friction held it 0.28 deg off on average; 0.11 now."""
+    off_deg, moved_deg = [], []
+    for seed in range(12):
+        on = Rig(seed, RANDOM_SPEC).holding().at((0.0, 60.0, -50.0, -40.0, 0.0, 0.0))
+        turned = np.array(on.way((40.0, 60.0, -50.0, -40.0, 0.0, 0.0), seconds=3.0).positions_rad)
+        later = np.linspace(turned[-1], np.radians((40.0, 95.0, -85.0, -70.0, 0.0, 0.0)), 71)[1:]
+        points = tuple(map(tuple, np.vstack([turned, later]).tolist()))
+        on.ticks(32, Run(5, JointTrajectory(0.1, points, label="turn, then go on")))
+        base_deg = [(on.ticks(1), on.joint_deg(0))[1] for _ in range(66)]
+        off_deg.append(abs(np.mean(base_deg[20:]) - 40.0))
+        moved_deg.append(np.ptp(base_deg[30:]))
+    assert np.mean(off_deg) < 0.17
+    assert max(off_deg) < 0.4
+    assert np.median(moved_deg) < 0.1, "it stands"

@@ -45,7 +45,8 @@ def test_demonstration_teaches_optimises_runs_replays_and_reports(tmp_path: Path
         assert result["rows"][1][key] == first[key]
     assert first["recordings"] == [result["rows"][1]["recording"]]
     best = [one for one in refined["rounds"] if one["kept"]][-1]
-    assert refined["recording"] == best["recordings"][-1]  # of a plan in doubt, which is run twice, the round has the mean
+    assert refined["recording"] == best["recordings"][-1]
+    # Of a plan in doubt, which is run twice, the round has the mean.
     assert len(best["recordings"]) > 1 or refined["mean_error_mm"] == best["mean_error_mm"]
     assert refined["mean_error_mm"] == pytest.approx(refined["truth"]["mean_error_mm"], abs=5.0)
     for how in ("corrected", "refined"):
