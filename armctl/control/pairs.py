@@ -77,10 +77,15 @@ def detect_mismatch(s: Tick) -> None:
 
 
 def let_go_blind(s: Tick, index: int) -> None:
-    """Torque off for a servo far from its goal although it was relieved, if it is blind and its partner holds."""
+    """Torque off for a servo far from its goal although it was relieved, if it is blind and its partner holds.
+
+    The reading of a blind one jumps as their shaft cannot, for that of its partner does not.
+    """
+    went = [abs(a.position - b) for a, b in zip(s.servos, s.state.last_ticks, strict=False) if a]
     for first, second in s.arm.rigid_pairs:
         other = second if index == first else first
-        if index in (first, second) and holds(s, other) and apart_ticks(s, first, second) > LED_OFF_TICKS:
+        jumps = index in (first, second) and bool(went) and went[index] > went[other] + LED_OFF_TICKS
+        if jumps and holds(s, other) and apart_ticks(s, first, second) > LED_OFF_TICKS:
             s.write(s.wire[index].servo_id, TORQUE_ENABLE, 0)
             alone = f"it goes limp, and servo {s.wire[other].servo_id} holds the joint alone"
             s.latch_servo("PAIR_MISMATCH", index, f"works at full wherever it is told to be, as if blind: {alone}")

@@ -318,7 +318,7 @@ def test_a_servo_that_a_slipped_horn_takes_past_the_end_of_its_sensor_is_let_go_
     rig = Rig(arm=arm, spec=ALIKE).holding().at((0.0, 140.0, -110.0, -10.0, 0.0, 0.0))
     held_deg, second = rig.joint_deg(1), rig.simulated.servos[SHOULDER[1]]
     rig.fault("pair_mismatch", 12, value=-round(second.position_tick) - beyond_ticks)
-    rig.ticks(16)
+    rig.ticks(20)
     assert {"BLOCKED", "PAIR_MISMATCH"} <= {fault.code for fault in rig.loop.state.faults}
     text = next(fault.text for fault in rig.loop.state.faults if fault.code == "PAIR_MISMATCH")
     assert re.match(r"servo 12 \(shoulder\): works at full wherever it .* servo 2 holds the joint alone", text)
