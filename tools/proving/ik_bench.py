@@ -11,7 +11,7 @@ first starts would be the very configurations the poses were made of, and a sear
 import math
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 from unittest import mock
@@ -152,11 +152,15 @@ def _solvers(robot: Robot, seed: int) -> list[_Solver]:
     analytic = _analytic(chain)
     limits = robot.limits_rad
 
+    def one_of(T: list[list[float]]) -> Sequence[float]:
+        found = form.pose(T)  # none where it is singular
+        return found[0] if found else form.poses(np.array([T]))[0, 0]
+
     def alone(T: FloatArray) -> FloatArray:
-        return np.array([form.pose(one)[0] for one in T.tolist()])
+        return np.array([one_of(one) for one in T.tolist()])
 
     def alone_from_array(T: FloatArray) -> FloatArray:
-        return np.array([form.pose(one.tolist())[0] for one in T])
+        return np.array([one_of(one.tolist()) for one in T])
 
     def all_branches(T: FloatArray) -> FloatArray:
         return form.poses(T)[:, 0]
