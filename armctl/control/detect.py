@@ -266,9 +266,9 @@ def look_at_ramps(s: Tick) -> None:
     lazy, at_once, goes_on = False, False, False
     for wire, servo, joint, goal, ramp in zip(s.wire, s.servos, s.each, state.goal, s.ramps(), strict=True):
         way = abs(speeds[wire.of]) * s.period_s / ax12a.TICK_RAD
-        behind = 0.0 if servo is None or servo.goal != goal else abs(ramp - servo.position) - 0.5 * way
         if servo is None or servo.goal != goal:
             continue
+        behind = abs(ramp - servo.position) - 0.5 * way
         pushes = ax12a.distance_rad(servo, abs(servo.load_ratio)) / ax12a.TICK_RAD
         bears = joint.load_ratio * speeds[wire.of] > 0.0 and min(way, pushes) > LEAST_TICKS
         goes_on |= bears and not begun and behind <= pushes + LEAST_TICKS

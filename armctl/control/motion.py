@@ -237,9 +237,8 @@ def aimed(s: Tick, wanted_rad: Sequence[float], velocity_rad_s: Sequence[float])
         off = wanted[i] - s.joints[i].position_rad - min(max(gone, min(way, 0.0)), max(way, 0.0))
         low, high = max(-MOST_RAD, min(0.0, -AWAY_RAD - off)), min(MOST_RAD, max(0.0, AWAY_RAD - off))
         given[i] = min(max(min(max(correction, low), high), last - most), last + most)
-    speeds, seen_rad = tuple(velocity_rad_s), tuple([joint.position_rad for joint in s.joints])
-    kept = f.trim_rad, f.before_rad
-    after = Following(f.corrected, wanted, speeds, seen_rad, side, *kept, tuple(given), age_s, f.off_rad)
+    after = replace(f, wanted_rad=wanted, velocity_rad_s=tuple(velocity_rad_s), side=side, given_rad=tuple(given))
+    after = replace(after, seen_rad=tuple([joint.position_rad for joint in s.joints]), age_s=age_s)
     return _whole_ticks(s, f, after), after
 
 
